@@ -20,14 +20,7 @@ class LineReader:
         self._has_ended = False
 
     def next(self, wait: Callable[[], None]) -> str:
-        """Return the next line, without its line end.
-
-        Args:
-            wait: Called repeatedly until there is a line; serves ROS for a moment.
-
-        Raises:
-            EndOfInputError: The input has ended.
-        """
+        """Return the next line, without its end; an EndOfInputError after the last."""
         while "\n" not in self._text:
             if self._has_ended:
                 raise EndOfInputError("the input has ended: the answer cannot be typed in")

@@ -14,9 +14,7 @@ from omniman_ros.console.session import Session
 SIM_TIME = "use_sim_time"  #: Parameter of every node: whether it runs on simulated time
 #: QoS profile of topics whose last message reaches late subscribers, too
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-#: QoS profile that queues two seconds of wheel_states, so that none is lost while this process
-#: waits for the processor.
-LOSSLESS = QoSProfile(depth=400)
+LOSSLESS = QoSProfile(depth=400)  #: Queues two seconds of wheel_states, so that none is lost
 RESPONSE_TIMEOUT = 5.0  #: Longest time to wait for a node's response [s]
 
 
@@ -24,10 +22,6 @@ def read_parameters(
     session: Session, client: Any, node_name: str, names: Sequence[str]
 ) -> dict[str, Any]:
     """Read parameters of a node.
-
-    Args:
-        client: Client of the node's service `get_parameters`, which is ready.
-        node_name: Name of the node, for messages.
 
     Returns:
         The values by name; parameters that the node does not have are absent.

@@ -13,16 +13,7 @@ Record = TypeVar("Record")  #: Type of a record
 
 
 def save_record(path: Path, form: str, units: str, tree: Mapping[str, Any]) -> None:
-    """Write a record completely or not at all.
-
-    Args:
-        units: Units of the numbers, in words.
-        tree: Content, with finite numbers only.
-
-    Raises:
-        OSError: The file cannot be written.
-        ValueError: A number is not finite.
-    """
+    """Write a record completely, or not at all with an OSError, or a ValueError for NaN."""
     text = json.dumps({"format": form, "units": units, **tree}, allow_nan=False)
     write_atomically(path, text + "\n")
 
@@ -30,15 +21,7 @@ def save_record(path: Path, form: str, units: str, tree: Mapping[str, Any]) -> N
 def load_record(
     path: Path, form: str, what: str, parse: Callable[[Mapping[str, Any]], Record]
 ) -> Record:
-    """Read a record.
-
-    Args:
-        what: Name of the content, for the error.
-        parse: Makes the record from the content.
-
-    Raises:
-        CommandError: The file does not exist, or is not such a record.
-    """
+    """Read a record; without such a file, a CommandError is raised."""
     try:
         tree = json.loads(path.read_bytes())
         if tree["format"] != form:

@@ -40,17 +40,13 @@ from omniman_ros.identification.node_access import (
 
 ELECTRICAL = "wheel_electrical"  #: Topic of the motors' voltages and currents
 CONTROLLER = "platform_controller"  #: Name of the node that drives the robot
-#: Parameter of this node: whether it subscribes to a TwistStamped
-USES_STAMPED_TWISTS = "cmd_vel_stamped"
+USES_STAMPED_TWISTS = "cmd_vel_stamped"  #: Whether it subscribes to a TwistStamped
 LEAD_TIME = 0.3  #: Time from the first preview to the start of a motion [s]
 SETTLING_TIME = 0.8  #: Time at rest after a motion before it counts as ended [s]
 AVERAGING_TIME = 0.5  #: Time over which a pose at rest is averaged [s]
 AT_REST_SPEED = 0.02  #: Speed below which a wheel counts as standing [rad/s]
-#: Distance from the reference at the end of a motion up to which it was driven to its end [m,
-#: rad].
-MAX_END_ERROR = 0.1
-#: Silence after which another path may follow a cancelled one; longer than timeouts.cancelled [s]
-CANCELLATION_TIME = 1.5
+MAX_END_ERROR = 0.1  #: Error at the end up to which a motion was driven to its end [m, rad]
+CANCELLATION_TIME = 1.5  #: Silence after which a path may follow a cancelled one [s]
 SPEED_SAMPLES = 21  #: Number of positions over which the speed is differenced
 
 
@@ -60,11 +56,9 @@ class Motion(Protocol):
     @property
     def duration(self) -> float:
         """Duration of the drive [s]."""
-        ...
 
     def sample(self, time: float) -> PlanarSample:
         """Return the reference at a time after the start [s]."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -127,13 +121,11 @@ class Recording:
 class RobotSession:
     """Drives motions and records the wheels.
 
+    A robot that has stopped, does not follow, or is driven by others raises a CommandError, as do
+    topics and nodes that are silent; a signal raises a KeyboardInterrupt.
+
     Args:
         truth: Topic of a measured pose, or None.
-        poll: Called many times a second; raises to end early.
-        with_electrical: Whether to record wheel_electrical, too.
-
-    Attributes:
-        recording: The current recording.
     """
 
     def __init__(
@@ -158,7 +150,7 @@ class RobotSession:
         self._source = ""
         self._stop_reasons: dict[str, str] = {}
         self._received: set[str] = set()
-        self.recording = Recording()
+        self.recording = Recording()  #: The current recording
         node = session.node
         self._is_stamped = controller.is_stamped
         self._twists = node.create_publisher(
@@ -224,12 +216,7 @@ class RobotSession:
         return self._pose
 
     def wait(self) -> None:
-        """Serve ROS for a moment.
-
-        Raises:
-            CommandError: The robot has stopped, or a node has died.
-            KeyboardInterrupt: A signal was received.
-        """
+        """Serve ROS for a moment."""
         self._session.spin(0.05)
         self._check()
 
@@ -246,11 +233,7 @@ class RobotSession:
         return self._session.wait(checked, timeout)
 
     def connect(self) -> None:
-        """Wait until all topics that are needed arrive, and nobody drives the robot.
-
-        Raises:
-            CommandError: This takes too long.
-        """
+        """Wait until all topics that are needed arrive, and nobody drives the robot."""
         needed = ["odom", "wheel_states", *([self._truth_topic] if self._truth_topic else [])]
         needed += [ELECTRICAL] if self._with_electrical else []
 
@@ -268,11 +251,7 @@ class RobotSession:
     # ---- driving ------------------------------------------------------------------------------
 
     def start_recording(self) -> None:
-        """Begin a new recording, with the current wheel positions as its first.
-
-        Raises:
-            CommandError: No wheel_states are received.
-        """
+        """Begin a new recording, with the current wheel positions as its first."""
         self.recording = Recording()
         if not self._wait_until(lambda: bool(self.recording.positions), RESPONSE_TIMEOUT):
             raise CommandError(f"no wheel_states for {RESPONSE_TIMEOUT:g} s")
@@ -295,10 +274,6 @@ class RobotSession:
 
         Returns:
             Whether the robot arrived at the end; if not, the path was cancelled on the way.
-
-        Raises:
-            CommandError: Another source drives, the robot leaves the reach, or it does not come to
-                rest.
         """
         clock = self._session.node.get_clock()
         start = clock.now() + Duration(nanoseconds=round(LEAD_TIME * 1e9))
@@ -348,11 +323,7 @@ class RobotSession:
         self._twists.wait_for_all_acked(Duration(seconds=1))
 
     def pose_at_rest(self) -> Triple | None:
-        """Return the mean of the measured poses over `AVERAGING_TIME`; None without any.
-
-        Returns:
-            The pose in the frame of the topic [m, m, rad].
-        """
+        """Return the mean measured pose over `AVERAGING_TIME` in the topic's frame, or None."""
         before = len(self.recording.truth)
         self._wait_until(lambda: False, AVERAGING_TIME)
         rows = np.array(self.recording.truth[before:])

@@ -24,7 +24,6 @@ def run_with_simulated_robot(
     """Start the nodes of a simulated robot, measure it, and stop them.
 
     Args:
-        headline: Lines that tell the user what is simulated.
         measure: Measures the robot; called with a function that it must call many times a second,
             which raises where a node has died or a signal was received.
 

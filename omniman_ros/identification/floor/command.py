@@ -90,11 +90,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def other_parameters(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return parameters of a robot that differs from a configured one in all that is identified.
-
-    Args:
-        values: Parameters of the configured robot, by full name.
-    """
+    """Return parameters that differ from configured ones in all that is identified."""
     other: dict[str, Any] = {}
     for name, factor in FACTORS.items():
         value = values[name]
@@ -153,12 +149,7 @@ def drive_running_robot(args: argparse.Namespace) -> FloorRecord:
 def measure(
     args: argparse.Namespace, poll: Callable[[], None], keyboard: int | None
 ) -> FloorRecord:
-    """Drive the robot and the check; save the drives, also if the experiment ends early.
-
-    Args:
-        poll: Called many times a second; raises to end early.
-        keyboard: File descriptor of the user's input; None if the user is not asked.
-    """
+    """Drive the robot and the check; save the drives, also if the experiment ends early."""
     progress = Progress()
     with ExitStack() as stack:
         session = stack.enter_context(Session("omniman_identify", args.namespace))
@@ -198,11 +189,7 @@ def measure(
 
 
 def floor_drive(recording: Recording) -> FloorDrive:
-    """Return a recording of wheel_states and wheel_electrical as a drive.
-
-    Raises:
-        InputError: The recording is not one, see :class:`FloorDrive`.
-    """
+    """Return recorded topics as a drive; an InputError says that they are none."""
     times, positions = np.array(recording.times), np.array(recording.positions)
     keep_states = _increasing(times)
     stamps = np.array([row[0] for row in recording.electrical])
@@ -244,11 +231,7 @@ def keep(record: FloorRecord, folder: Path) -> None:
 
 
 def conclude(record: FloorRecord, folder: Path) -> int:
-    """Fit, report, write the files, and return the exit code.
-
-    Raises:
-        InputError: There is no drive to fit.
-    """
+    """Fit, report, write the files, and return the exit code; no drive raises an InputError."""
     if record.drive is None:
         raise InputError("no drive was recorded")
     fit = identify_floor(record.drive, record.robot)

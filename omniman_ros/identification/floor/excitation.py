@@ -25,21 +25,17 @@ from omniman_ros.identification.floor.windows import Windows
 SINES = 4  #: Number of sines in each direction
 LOWEST, HIGHEST = 0.5, 2.0
 """Bounds of the sines' frequencies over that of the drive's base frequency."""
-#: Shortest time in which the envelope rises at the start and falls at the end [s]
-MIN_RAMP_TIME = 2.0
+MIN_RAMP_TIME = 2.0  #: Shortest time in which the envelope rises, and falls [s]
 RAMP_ACCELERATION = 0.4  #: Largest acceleration by the envelope alone, over the robot's limit
 SMOOTHSTEP_BEND = 5.774  #: Largest second derivative of a smoothstep of degree 5 from 0 to 1
-#: Largest speed, yaw rate and acceleration of the drive, over the robot's limits
-LIMIT_FRACTION = 0.8
-#: Largest wheel torque by the configured masses, over that at which the wheel would slip
-GRIP_FRACTION = 0.5
+LIMIT_FRACTION = 0.8  #: Largest speed, yaw rate and acceleration over the robot's limits
+GRIP_FRACTION = 0.5  #: Largest wheel torque over that at which the wheel would slip
 MOTOR_FRACTION = 0.7  #: Largest wheel torque and wheel speed over those that the motor reaches
 MIN_DURATION = 15.0  #: Shortest drive [s]
 SAMPLE_PERIOD = 0.04  #: Period at which a drive is checked against the limits [s]
 COARSE = 3  #: Ratio to it of the period at which torques are checked
 CANDIDATES = 12  #: Number of drives from which one is chosen
-#: Factor on all frequencies by which a drive that exceeds a limit is slowed down at least
-SLOWER = 0.9
+SLOWER = 0.9  #: Factor on all frequencies by which a drive is slowed down at least
 MAX_SLOWDOWNS = 60  #: Number of times that a drive is slowed down before it counts as impossible
 
 
@@ -55,11 +51,7 @@ class Excitation:
     start: Triple = (0.0, 0.0, 0.0)  #: Pose at its start in odom [m, m, rad]
 
     def track(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return poses, velocities and accelerations relative to the start, (k, 3) each.
-
-        Args:
-            times: (k,) times after the start [s].
-        """
+        """Return poses, velocities and accelerations (k, 3) relative to the start at (k,) [s]."""
         times = np.clip(times, 0.0, self.duration)
         phase = self.frequencies[:, :, None] * times + self.phases[:, :, None]
         amplitude, frequency = self.amplitudes[:, :, None], self.frequencies[:, :, None]
@@ -109,9 +101,7 @@ def choose_excitation(
     """Choose a drive for the identification.
 
     Args:
-        robot: The robot as configured, with calibrated wheel radii.
         reach: Largest distance of base_link from the start along x and along y [m].
-        duration: Duration of the drive [s].
 
     Raises:
         InputError: The duration or the reach is too short.
@@ -219,16 +209,7 @@ def _wheel_motion(
 
 
 def body_motion(poses: Array, velocities: Array, accelerations: Array) -> tuple[Array, Array]:
-    """Return twists in base_link and the derivatives of their components, CCTA 2017 (20).
-
-    Args:
-        poses: (k, 3) poses in the world [m, m, rad].
-        velocities: (k, 3) their velocities in the world.
-        accelerations: (k, 3) their accelerations in the world.
-
-    Returns:
-        Twists (k, 3) [m/s, m/s, rad/s] and rates (k, 3) [m/s^2, m/s^2, rad/s^2].
-    """
+    """Return twists (k, 3) in base_link and their components' derivatives, CCTA 2017 (20)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
 
     def rotated(table: Array) -> Array:

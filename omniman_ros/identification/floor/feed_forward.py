@@ -20,19 +20,13 @@ class FeedForwardResidual:
     """Differences between measured and computed motor currents, RMS over motors and time."""
 
     motion: float  #: The part that moves the platform: wheel torques in the range of J [A]
-    #: The part with which the wheels work against one another along the motion constraints, which
-    #: no feed-forward of a rigid platform knows [A].
-    strain: float
+    strain: float  #: The part by which the wheels strain against one another [A]
 
 
 def feed_forward_residual(drive: FloorDrive, robot: Robot) -> FeedForwardResidual:
     """Return what the feed-forward leaves to the drives' controllers.
 
     The feed-forward of a robot's parameters is evaluated at the measured motion.
-
-    Args:
-        drive: A recorded drive.
-        robot: Parameters, with calibrated wheel radii.
 
     Raises:
         InputError: The drive is too short or has gaps.

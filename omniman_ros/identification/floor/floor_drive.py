@@ -20,8 +20,7 @@ class FloorDrive:
 
     times: Array  #: (k,) times of the positions, increasing [s]
     positions: Array  #: (k, n) wheel positions, not wrapped [rad]
-    #: (m,) times of currents and voltages on the same clock, increasing [s]
-    electrical_times: Array
+    electrical_times: Array  #: (m,) times of currents and voltages, same clock, increasing [s]
     currents: Array  #: (m, n) motor currents [A]
     voltages: Array  #: (m, n) motor voltages [V]; NaN where a drive does not report it
 

@@ -34,12 +34,10 @@ from omniman_ros.identification.floor.windows import Windows
 from omniman_ros.identification.friction.robust_statistics import NORMAL_95, student_95
 
 BLOCKS = 20  #: Number of blocks of time of the jackknife
-#: Widths of the wheels' sign function that are tried [rad/s]
-WHEEL_WIDTHS = (0.005, 0.01, 0.02, 0.05, 0.1)
+WHEEL_WIDTHS = (0.005, 0.01, 0.02, 0.05, 0.1)  #: Tried widths of the wheels' sign function [rad/s]
 #: Widths of the rollers' sign function that are tried [m/s]
 ROLLER_WIDTHS = (0.002, 0.005, 0.01, 0.015, 0.022, 0.033, 0.05)
-#: Largest part of undetermined unknowns in a quantity that counts as determined
-MAX_UNDETERMINED = 0.2
+MAX_UNDETERMINED = 0.2  #: Largest undetermined part of a quantity that counts as determined
 DIRECTIONS = {
     "forward": (1.0, 0.0, 0.0),
     "at 45 degrees": (math.sqrt(0.5), math.sqrt(0.5), 0.0),
@@ -64,8 +62,7 @@ class Estimate:
 class FloorFit:
     """Result of the identification."""
 
-    #: The robot with the identified parameters; those that are not determined are as configured
-    robot: Robot
+    robot: Robot  #: The robot as identified; what is not determined is as configured
     #: Quantities by name: mass, com_x, com_y, inertia (about the centre of mass) of platform and
     #: arm together, wheel_inertia (over the configured), gear_efficiency, `viscous.WHEEL`,
     #: `coulomb.WHEEL`, `drag.WHEEL` [N], `drag DIRECTION` and `friction DIRECTION` (CCTA 2017 (23)
@@ -75,20 +72,14 @@ class FloorFit:
     #: little effect.
     inseparable: list[tuple[str, ...]]
     widths: SignWidths  #: Widths of the sign functions that explain the drive best
-    #: Whether the motor constants are measured; if not, the configured ones set the scale of all
-    #: results.
-    is_back_emf_measured: bool
-    #: Whether the efficiency was kept at 1, beyond which it would be best
-    is_efficiency_bounded: bool
+    is_back_emf_measured: bool  #: Whether they are measured; if not, the configured ones count
+    is_efficiency_bounded: bool  #: Whether the efficiency was kept at its bound of 1
     residual: Array  #: (3,) RMS of what the model does not explain [N, N, N m]
     typical: Array  #: (3,) RMS of the motors' forces and torque [N, N, N m]
 
 
 def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
     """Identify a robot from a drive on the floor.
-
-    Args:
-        robot: The robot as configured, with calibrated wheel radii.
 
     Raises:
         InputError: The drive is too short or has gaps.
@@ -164,7 +155,6 @@ def _best_widths(
 
 
 def _quantities(model: FloorModel, unknowns: Array, back_emf: Array) -> dict[str, float]:
-    """Return the reported quantities of unknowns (p,)."""
     efficiency = float(max(unknowns[-1], 1e-9) ** -0.5)
     mass, moment_x, moment_y, inertia, wheels, *_ = unknowns * efficiency
     x, y = moment_x / mass, moment_y / mass
@@ -253,15 +243,7 @@ def _undetermined(
 
 
 def identified_robot(robot: Robot, values: dict[str, float]) -> Robot:
-    """Return the robot with identified quantities; the arm is taken to be as configured.
-
-    Args:
-        robot: The robot as configured.
-        values: Quantities by the names of :class:`FloorFit`.
-
-    Raises:
-        ParameterError: The result is no possible robot.
-    """
+    """Return the robot as identified, the arm as configured; it may raise a ParameterError."""
     arm, wheels = robot.arm, robot.wheels
     mass, x, y = values["mass"], values["com_x"], values["com_y"]
     rest = mass - arm.mass

@@ -30,11 +30,7 @@ class FloorRecord:
 
 
 def save(record: FloorRecord, path: Path) -> None:
-    """Write a record completely or not at all.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a record completely, or not at all with an OSError."""
     tree: dict[str, Any] = {
         "robot": flatten(record.robot),
         "drive": _drive_tree(record.drive),
@@ -45,16 +41,11 @@ def save(record: FloorRecord, path: Path) -> None:
 
 
 def load(path: Path) -> FloorRecord:
-    """Read a record.
-
-    Raises:
-        CommandError: The file does not exist, or is not such a record.
-    """
+    """Read a record; without such a file, a CommandError is raised."""
     return load_record(path, FORMAT, "recorded drives", _parse)
 
 
 def _parse(tree: Mapping[str, Any]) -> FloorRecord:
-    """Return the record that a file contains."""
     return FloorRecord(
         robot=build(Robot, tree["robot"]),
         drive=_drive(tree["drive"]),

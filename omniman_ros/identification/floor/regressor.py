@@ -28,13 +28,9 @@ from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.windows import Windows, resample, speeds
 
 GRID_PERIOD = 0.005  #: Period of the grid on which speeds and friction are evaluated [s]
-#: Deviation of a mass, an inertia or a friction from its configured value that is expected,
-#: relative to it.
-SPREAD = 0.3
+SPREAD = 0.3  #: Expected relative deviation of a mass, an inertia or a friction
 MOMENT_SPREAD = 0.1  #: Deviation of the centre of mass that is expected [m]
-#: Smallest drag or Coulomb friction that is expected, over the weight on a wheel: where none is
-#: configured, there may be some.
-MIN_FRICTION = 0.003
+MIN_FRICTION = 0.003  #: Smallest drag or Coulomb friction expected, over a wheel's weight
 SLOPE_SPREAD = 0.01  #: Slope of the floor that is expected [rad]
 EFFICIENCY_SPREAD = 0.2  #: Deviation of the gear's efficiency that is expected
 
@@ -52,39 +48,32 @@ class Equations:
     """Linear equations: rows of the platform's three directions in each window."""
 
     centres: Array  #: (k,) centres of the windows [s]
-    #: (k, 3, p) regressor; force [N], force [N], torque [N m] over the unknown's unit
-    matrix: Array
+    matrix: Array  #: (k, 3, p) regressor; force [N, N] and torque [N m] over the unknown's unit
     values: Array  #: (k, 3) forces and torque of the driving motors, J' P [N, N, N m]
 
 
 class FloorModel:
     """Unknowns and regressor of a robot.
 
-    Args:
-        robot: The robot as configured, with calibrated wheel radii.
-
     Attributes:
-        robot: The same.
         names: Names of the p unknowns: `mass`, `moment_x`, `moment_y`, `inertia` (of the whole
             robot about base_link), `wheel_inertia` (over the configured), `viscous.WHEEL`,
             `coulomb.WHEEL`, `drag.WHEEL` [N], `slope_x`, `slope_y` (force of gravity along a
             sloping floor in odom [N]), all over eta, and `gear` (1 / eta^2).
         expected: (p,) values by the configuration.
         spread: (p,) deviations from them that are expected.
-        rolling: (n, 3) matrix S from twist to rolling speeds.
-        com: (2,) centre of mass in which the force of a slope acts [m]; as configured.
-        is_gear_known: Whether the equations leave the gear's efficiency as it is expected.
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        self.is_gear_known = False
+        self.robot = robot  #: The same
+        self.is_gear_known = False  #: Whether the gear's efficiency stays as expected
         self.kinematics = PlatformKinematics(robot.wheels)
         dynamics = PlatformDynamics(robot, self.kinematics)
-        self.rolling = dynamics.rolling
+        self.rolling = dynamics.rolling  #: (n, 3) matrix S from twist to rolling speeds
         self._inertia = np.array(robot.wheels.inertia)
         bodies = dynamics.mass_matrix
         self._mass = bodies[0, 0]
+        #: (2,) centre of mass in which the force of a slope acts [m]; as configured
         self.com = np.array([bodies[1, 2], -bodies[0, 2]]) / self._mass
         wheels = robot.wheels.names
         per_wheel = [
@@ -154,11 +143,7 @@ class FloorModel:
     def equations(
         self, drive: FloorDrive, back_emf: Array, windows: Windows, widths: SignWidths
     ) -> Equations:
-        """Return the equations of a drive.
-
-        Args:
-            back_emf: (n,) constants K N of the motors at the wheel [N m/A].
-        """
+        """Return the equations of a drive with motor constants K N (n,) at the wheel [N m/A]."""
         times, positions = resample(drive.times, drive.positions, GRID_PERIOD)
         rates = speeds(positions, GRID_PERIOD)
         matrix = self._bodies(times, positions, rates, windows, widths)

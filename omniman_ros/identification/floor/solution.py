@@ -13,18 +13,11 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.identification.floor.regressor import Equations, FloorModel
 
 WINDOW_WIDTH = 0.6  #: Width of the windows over which the equations are averaged [s]
-#: Distance between two windows [s]; their weights are narrow, so that neighbours overlap by half
-WINDOW_STEP = 0.15
-#: Noise of an averaged equation over its typical value, with which a drive is planned
-PLANNED_NOISE = 0.02
-#: Standard deviation of a combination of unknowns, over the expected one, from which on it is not
-#: determined.
-MAX_DEVIATION = 0.5
-#: Factor on the standard deviations of independent residuals: neighbouring windows overlap, and
-#: errors of the model persist.
-NOISE_CORRELATION = 2.0
-#: Part of an undetermined combination that an unknown must have to be named with it
-MIN_PART = 0.1
+WINDOW_STEP = 0.15  #: Distance between two windows [s]; the narrow weights overlap by half
+PLANNED_NOISE = 0.02  #: Noise of an averaged equation over its value, for planning
+MAX_DEVIATION = 0.5  #: Ratio to the expected deviation from which nothing is determined
+NOISE_CORRELATION = 2.0  #: Factor on independent deviations, as neighbouring windows overlap
+MIN_PART = 0.1  #: Part of an undetermined combination from which an unknown is named with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +29,7 @@ class Directions:
     projector: Array  #: (p, p) projector onto all others
 
     def solve(self, model: FloorModel, equations: Equations, kept: Array | None = None) -> Array:
-        """Return the unknowns (p,) of the determined combinations; the others stay as configured.
-
-        Args:
-            kept: (k,) flags of the windows to use; None for all.
-        """
+        """Return the unknowns (p,); combinations that are not determined stay as configured."""
         matrix, values = _rows(model, equations, self.weights)
         if kept is not None:
             rows = np.repeat(kept, 3)

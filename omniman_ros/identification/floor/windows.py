@@ -11,42 +11,26 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-#: Exponent q of the weight (1 - u^2)^q, u = -1 to 1: its first q - 1 derivatives vanish at both
-#: ends.
-DEGREE = 4
+DEGREE = 4  #: Exponent q of the weight (1 - u^2)^q: q - 1 derivatives vanish at both ends
 MIN_SAMPLES = 8  #: Smallest number of samples in a window
 SPEED_HALF_WIDTH = 0.025  #: Half of the time over which a speed is fitted to positions [s]
 
 
 class Windows:
-    """Windows of equal width at equal distances.
-
-    Args:
-        start: Begin of the first window [s].
-        end: Time after which no window ends [s].
-        width: Width of a window [s].
-        step: Distance between two windows [s].
-
-    Raises:
-        InputError: Not a single window fits.
-
-    Attributes:
-        centres: (k,) times of the windows' centres [s].
-    """
+    """Windows of equal width at equal steps [s]; where none fits, they raise an InputError."""
 
     def __init__(self, start: float, end: float, width: float, step: float) -> None:
         count = int((end - start - width) / step) + 1
         if end - start < width or count < 1:
             raise InputError(f"{end - start:.2f} s of data, a window takes {width:g} s")
         self._half = 0.5 * width
+        #: (k,) times of the windows' centres [s]
         self.centres: Array = start + self._half + step * np.arange(count, dtype=np.float64)
 
     def mean(self, times: Array, values: Array, order: int = 0) -> Array:
         """Return the weighted mean of a signal, or of its derivative, in each window.
 
         Args:
-            times: (m,) increasing times of the samples [s].
-            values: (m, c) samples of c signals.
             order: 0 for the signal, 1 or 2 for its first or second derivative.
 
         Returns:
@@ -84,16 +68,7 @@ def _weight(u: Array) -> tuple[Array, Array, Array]:
 
 
 def resample(times: Array, values: Array, period: float) -> tuple[Array, Array]:
-    """Return a signal on a uniform grid, interpolated linearly.
-
-    Args:
-        times: (m,) increasing times [s].
-        values: (m, c) samples.
-        period: Period of the grid [s].
-
-    Returns:
-        Times (j,) and values (j, c).
-    """
+    """Return a signal (m, c) on a uniform grid of a period [s], interpolated linearly."""
     grid = np.arange(times[0], times[-1], period)
     return grid, np.column_stack([np.interp(grid, times, column) for column in values.T])
 
@@ -101,12 +76,7 @@ def resample(times: Array, values: Array, period: float) -> tuple[Array, Array]:
 def speeds(positions: Array, period: float) -> Array:
     """Return the speeds of sampled positions: slopes of lines fitted over `SPEED_HALF_WIDTH`.
 
-    Args:
-        positions: (j, n) positions on a uniform grid [rad].
-        period: Period of the grid [s].
-
-    Returns:
-        Speeds (j, n) [rad/s].
+    Positions are (j, n) [rad], speeds (j, n) [rad/s].
     """
     reach = max(1, round(SPEED_HALF_WIDTH / period))
     offsets = np.arange(-reach, reach + 1)

@@ -40,15 +40,12 @@ NODES = ("simulated_drive",)  #: Nodes of the simulated robot
 #: for the processor.
 LENIENT_TIMEOUTS = ("firmware.watchdog:=0.5", "command_timeout:=0.5")
 FEEDBACK_TIMEOUT = 0.3  #: Time without feedback after which the experiment ends [s]
-#: Time without feedback after which a simulated experiment ends [s]; processes may wait for the
-#: processor.
-SIMULATED_FEEDBACK_TIMEOUT = 3.0
+SIMULATED_FEEDBACK_TIMEOUT = 3.0  #: The same in simulation: processes wait
 #: Ratio of each simulated wheel's friction to the configured one, unless the user sets it
 SIMULATED_FRICTION = (1.25, 0.85, 1.1, 0.7)
 #: Ratio of each simulated motor's constant to the configured one, unless the user sets it
 SIMULATED_TORQUE_CONSTANT = (1.01, 0.99)
-#: Standard deviation of the simulated current sensors, over the largest current
-SIMULATED_NOISE = 0.004
+SIMULATED_NOISE = 0.004  #: Noise of the simulated currents over the largest current
 YES = ("yes", "lifted")  #: Answers that confirm that the wheels are off the floor
 
 
@@ -69,11 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Check the ranges of the options.
-
-    Raises:
-        CommandError: An option is out of its range.
-    """
+    """Raise a CommandError where an option is out of its range."""
     for name, low, high in (("levels", 3, 50), ("rounds", 1, 50), ("precision", 0.01, 20.0)):
         value = getattr(args, name)
         if not (math.isfinite(value) and low <= value <= high):
@@ -84,14 +77,7 @@ def check_options(args: argparse.Namespace) -> None:
 
 
 def mismatch_parameters(robot: Robot) -> list[str]:
-    """Return parameters that make the simulated wheels differ from the configuration.
-
-    Args:
-        robot: The robot as configured.
-
-    Returns:
-        Assignments NAME:=VALUE of other friction, other motor constants, and noisy sensors.
-    """
+    """Return assignments NAME:=VALUE by which the simulated wheels and sensors differ."""
     n = robot.wheel_count
 
     def per_wheel(values: Sequence[float]) -> str:
@@ -155,11 +141,7 @@ def measure_running_drive(args: argparse.Namespace) -> FrictionRecord:
 
 
 def configured_robot(args: argparse.Namespace, drive: Drive, is_simulated: bool) -> Robot:
-    """Return the robot that the user or the drive describes.
-
-    Raises:
-        CommandError: Neither describes it.
-    """
+    """Return the robot that the user or the drive describes."""
     if args.robot is not None and not is_simulated:
         return build(Robot, load_robot(args.robot))
     try:
@@ -173,13 +155,7 @@ def configured_robot(args: argparse.Namespace, drive: Drive, is_simulated: bool)
 def measure(
     args: argparse.Namespace, poll: Callable[[], None], keyboard: int | None, is_simulated: bool
 ) -> FrictionRecord:
-    """Drive the wheels and measure; save the runs, also if the experiment ends early.
-
-    Args:
-        poll: Called many times a second; raises to end early.
-        keyboard: File descriptor of the user's input; None if the user is not asked.
-        is_simulated: Whether the drive was started by this command.
-    """
+    """Drive the wheels and measure; save the runs, also if the experiment ends early."""
     progress = Progress()
     with ExitStack() as stack:
         session = stack.enter_context(Session("omniman_identify", args.namespace))
@@ -220,15 +196,7 @@ another terminal, or the emergency stop.""")
 
 
 def confirm(lines: LineReader, wait: Callable[[], None]) -> None:
-    """Ask until the user confirms that the wheels are off the floor.
-
-    Args:
-        wait: Serves ROS for a moment; raises to end.
-
-    Raises:
-        CommandError: The input has ended.
-        KeyboardInterrupt: The user ended the command.
-    """
+    """Ask until the user confirms that the wheels are off the floor."""
     while True:
         say("Are all wheels off the floor? Type yes; Ctrl-C ends.")
         try:
@@ -253,11 +221,7 @@ def keep(record: FrictionRecord, folder: Path) -> None:
 
 
 def conclude(record: FrictionRecord, folder: Path) -> int:
-    """Fit the friction, report it, write the files, and return the exit code.
-
-    Raises:
-        InputError: The runs do not determine the friction.
-    """
+    """Fit, report, write the files, and return the exit code; a failure raises an InputError."""
     if not record.runs:
         raise InputError("no steady run was recorded")
     wheels = identify_friction(record.runs, record.robot)

@@ -33,16 +33,11 @@ VOLTAGES = "wheel_voltages"  #: Topic of the voltages for the motors
 COMMAND_TOPICS = (VOLTAGES, "wheel_commands")  #: Topics that command the wheels
 STATES = "wheel_states"  #: Topic of the wheels' positions and speeds
 ELECTRICAL = "wheel_electrical"  #: Topic of the motors' voltages and currents
-#: Parameter of the simulated drive: whether it publishes simulated time
-PUBLISHES_CLOCK = "publish_clock"
-#: Period of the voltages [s]: a tenth of the time after which the drives' watchdog reacts
-PERIOD = 0.01
-#: Time between two searches for other publishers that command the wheels [s]
-PUBLISHER_CHECK_PERIOD = 0.5
-#: Name that DDS reports for a node whose name has not arrived yet
-UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-#: Longest time to bring the wheels to rest [s]; after it the drives' watchdog stops them
-REST_TIMEOUT = 6.0
+PUBLISHES_CLOCK = "publish_clock"  #: Parameter: whether the drive publishes simulated time
+PERIOD = 0.01  #: Period of the voltages [s]: a tenth of the time of the drives' watchdog
+PUBLISHER_CHECK_PERIOD = 0.5  #: Time between two searches for other publishers [s]
+UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"  #: What DDS reports for a node whose name is not known yet
+REST_TIMEOUT = 6.0  #: Longest time to bring the wheels to rest [s]; then the watchdog does
 
 
 @dataclass(frozen=True)
@@ -56,9 +51,11 @@ class Drive:
 class DriveSession:
     """Runs a friction experiment on drives, as long as no other node commands them.
 
+    Whatever prevents or ends the experiment raises a CommandError, and a signal a
+    KeyboardInterrupt; `experiment` then has the measured runs.
+
     Args:
         poll: Called many times a second; raises to end early.
-        clock: Returns the current time, which never decreases [s].
     """
 
     def __init__(
@@ -132,23 +129,12 @@ class DriveSession:
     # ---- before the experiment ----------------------------------------------------------------
 
     def wait(self) -> None:
-        """Serve ROS for a moment, and check that nothing prevents the experiment.
-
-        Raises:
-            CommandError: See :meth:`check`.
-            KeyboardInterrupt: A signal was received.
-        """
+        """Serve ROS for a moment, and check that nothing prevents the experiment."""
         self._session.spin(0.05)
         self.check()
 
     def check(self) -> None:
-        """Check that nothing prevents the experiment.
-
-        Raises:
-            CommandError: A node is stopped, the feedback cannot be used, or another node commands
-                the wheels.
-            KeyboardInterrupt: A signal was received.
-        """
+        """Check that nothing prevents the experiment."""
         self._poll()
         if self._is_emergency:
             raise CommandError("the emergency stop is on")
@@ -162,7 +148,6 @@ class DriveSession:
             self._refuse_other_publishers()
 
     def _refuse_other_publishers(self) -> None:
-        """Raise a CommandError if another node commands the wheels."""
         for topic in COMMAND_TOPICS:
             others = self._publishers(topic)
             if self._publisher is not None and self._own_name in others:
@@ -188,12 +173,7 @@ class DriveSession:
         ]
 
     def find_drive(self, more_parameters: tuple[str, ...] = ()) -> Drive:
-        """Find the drive, and read the configuration of its robot.
-
-        Raises:
-            CommandError: There is no drive, or more than one, or it runs on simulated time, or
-                another node commands it.
-        """
+        """Find the drive, and read the configuration of its robot."""
         self._wait_until(lambda: False, ANNOUNCEMENT_TIME)
 
         def is_known() -> bool:
@@ -219,12 +199,7 @@ class DriveSession:
         return Drive(drives[0], values)
 
     def connect(self, robot: Robot) -> None:
-        """Wait until all feedback of a robot is received and its drive accepts voltages.
-
-        Raises:
-            CommandError: The feedback or the drive is not found in time, or the feedback is not
-                the robot's.
-        """
+        """Wait until all feedback of a robot is received and its drive accepts voltages."""
         self._robot = robot
         if not self._wait_until(lambda: {STATES, ELECTRICAL} <= self._received, DISCOVERY_TIMEOUT):
             missing = ", ".join(sorted({STATES, ELECTRICAL} - self._received))
@@ -243,15 +218,7 @@ class DriveSession:
     # ---- the experiment -----------------------------------------------------------------------
 
     def run(self, plan: VoltagePlan) -> FrictionExperiment:
-        """Run the experiment; the wheels are at rest when this returns or raises.
-
-        Returns:
-            The experiment, with its runs.
-
-        Raises:
-            CommandError: The experiment ended early; `experiment` has the measured runs.
-            KeyboardInterrupt: A signal was received.
-        """
+        """Run the experiment; the wheels are at rest when this returns or raises."""
         assert self._robot is not None
         self.check()
         self._publisher = self._session.node.create_publisher(JointState, VOLTAGES, 1)
@@ -290,7 +257,6 @@ class DriveSession:
         return self._experiment
 
     def _show(self, experiment: FrictionExperiment, plan: VoltagePlan) -> None:
-        """Show the run that was measured last, and the level that begins."""
         if experiment.runs:
             run = experiment.runs[-1]
             amperes = ", ".join(f"{current:.2f}" for current in np.abs(run.current).tolist())
@@ -302,7 +268,6 @@ class DriveSession:
             self._progress.begin(f"{index + 1}/{count} {plan.levels[index]:+.1f} V")
 
     def _apply(self, experiment: FrictionExperiment) -> None:
-        """Publish the present voltages, and serve ROS until the next ones are due."""
         start = self._clock()
         self._publish(experiment.voltages(start))
         self._session.spin(start + PERIOD - self._clock())

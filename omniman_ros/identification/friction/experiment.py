@@ -16,20 +16,14 @@ from omniman_ros.identification.friction.level_samples import ExperimentError, L
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
 TURNING_CHECK_DELAY = 1.0  #: Time after a ramp from which all wheels must rotate [s]
-#: Time after a ramp from which the drives must give the commanded voltage [s]
-VOLTAGE_CHECK_DELAY = 0.2
+VOLTAGE_CHECK_DELAY = 0.2  #: Time after a ramp from which voltages must be as commanded [s]
 CHECK_PERIOD = 0.2  #: Time between two checks whether a speed is constant or a mean is precise [s]
-#: Standard error of a mean current that is always precise enough, over the largest current
-NOISE_FLOOR = 2e-4
-#: Time after a restart in which the voltages follow the speeds, so that no current jumps [s]
-FOLLOW_TIME = 0.1
+NOISE_FLOOR = 2e-4  #: Standard error that is always precise enough, over the largest current
+FOLLOW_TIME = 0.1  #: Time after a restart in which the voltages follow the speeds [s]
 MAX_RESTARTS = 12  #: Total number of times that levels may be restarted
-#: Number of times in a row that a level may be restarted because of its voltages
-MAX_VOLTAGE_RESTARTS = 3
-#: Time at zero voltage after which wheels without speed count as being at rest [s]
-REST_TIME = 0.2
-#: Time at zero voltage after which the experiment ends even if wheels rotate [s]
-REST_TIMEOUT = 3.0
+MAX_VOLTAGE_RESTARTS = 3  #: Times in a row that voltages may restart a level
+REST_TIME = 0.2  #: Time at zero voltage after which wheels without speed count as resting [s]
+REST_TIMEOUT = 3.0  #: Time at zero voltage after which the experiment ends anyway [s]
 
 
 class Phase(enum.Enum):
@@ -43,19 +37,7 @@ class Phase(enum.Enum):
 
 
 class FrictionExperiment:
-    """Applies the voltages of a plan to the wheels, and collects the steady runs.
-
-    Args:
-        robot: The robot as configured.
-        plan: Plan from :func:`~omniman_ros.identification.friction.voltage_plan.make_plan`.
-        now: Current time [s].
-
-    Attributes:
-        runs: Steady runs that were measured so far.
-        phase: Current phase.
-        level_index: Index of the current level, -1 for the first, low voltage.
-        restarts: Number of times that a level was restarted because of a disturbance.
-    """
+    """Applies the voltages of a plan to the wheels, and collects the steady runs."""
 
     def __init__(self, robot: Robot, plan: VoltagePlan, now: float) -> None:
         self._plan = plan
@@ -70,26 +52,15 @@ class FrictionExperiment:
         self._disturbance = ""
         self._has_wrong_voltage = False
         self._voltage_restarts = 0
-        self.restarts = 0
-        self.runs: list[SteadyRun] = []
-        self.phase = Phase.RAMP
-        self.level_index = -1
+        self.restarts = 0  #: Number of times that a level was restarted because of a disturbance
+        self.runs: list[SteadyRun] = []  #: Steady runs that were measured so far
+        self.phase = Phase.RAMP  #: Current phase
+        self.level_index = -1  #: Index of the current level, -1 for the first, low voltage
 
     # ---- feedback -----------------------------------------------------------------------------
 
     def on_wheels(self, stamp: float, position: Array, velocity: Array, now: float) -> None:
-        """Process a state of the wheels.
-
-        Args:
-            stamp: Time at which it was measured, on the robot's clock [s].
-            position: (n,) positions, not wrapped [rad].
-            velocity: (n,) speeds [rad/s].
-            now: Current time [s].
-
-        Raises:
-            InputError: A number is not finite, a size is wrong, or the stamp is not after the
-                previous one.
-        """
+        """Process a state of the wheels, see :meth:`FeedbackMonitor.on_wheels`."""
         pause = self._monitor.on_wheels(stamp, position, velocity, now)
         if pause > MAX_PAUSE:
             self._disturbance = f"no wheel_states for {pause:.2f} s"
@@ -99,11 +70,7 @@ class FrictionExperiment:
             self._samples.add_position(stamp, position)
 
     def on_electrical(self, voltage: Array, current: Array, now: float) -> None:
-        """Process voltages (n,) [V] and currents (n,) [A] of the motors.
-
-        Raises:
-            InputError: A size is wrong, or a number is not finite.
-        """
+        """Process voltages and currents, see :meth:`FeedbackMonitor.on_electrical`."""
         self._monitor.on_electrical(voltage, current, now)
         if self.phase is Phase.MEASURE:
             self._samples.add_electrical(voltage, current)
@@ -131,13 +98,7 @@ class FrictionExperiment:
         return (self.level_index + 1) / (len(self._plan.levels) + 1)
 
     def end(self, now: float, at_once: bool = False) -> None:
-        """End the experiment early; runs that were measured completely are kept.
-
-        Args:
-            now: Current time [s].
-            at_once: Whether to drop the voltage without a ramp, because the drives stop by
-                themselves.
-        """
+        """End the experiment early, without a ramp if `at_once`; complete runs are kept."""
         if self.phase in (Phase.END, Phase.DONE):
             return
         self._begin(Phase.END, now)
@@ -177,11 +138,6 @@ class FrictionExperiment:
         self._samples.clear()
 
     def _supervise(self, now: float, step: float) -> None:
-        """Check the feedback, and restart the level after a disturbance.
-
-        Raises:
-            ExperimentError: A check failed, or there were too many restarts.
-        """
         if step > MAX_PAUSE:
             self._disturbance = f"no voltages were commanded for {step:.2f} s"
         self._monitor.check(self._level, now)
@@ -191,11 +147,6 @@ class FrictionExperiment:
             self._monitor.check_turning(self._level)
 
     def _restart_level(self, now: float) -> None:
-        """Restart the level after a disturbance.
-
-        Raises:
-            ExperimentError: There were too many restarts.
-        """
         self.restarts += 1
         self._voltage_restarts = self._voltage_restarts + 1 if self._has_wrong_voltage else 0
         if self._voltage_restarts > MAX_VOLTAGE_RESTARTS:
@@ -223,7 +174,6 @@ class FrictionExperiment:
             self._begin(Phase.SETTLE, now)
 
     def _follow_speed(self) -> None:
-        """Set the level to the wheels' back-EMF."""
         speed = float(np.median(self._monitor.speed * self._plan.signs))
         if math.isfinite(speed):
             top = self._plan.top_level
@@ -247,7 +197,6 @@ class FrictionExperiment:
             self._level += math.copysign(max_change, distance)
 
     def _settle(self, now: float) -> None:
-        """Wait until the speeds are constant, or the time is up."""
         is_late = now - self._phase_start > self._plan.settle_timeout
         if now - self._last_check < CHECK_PERIOD and not is_late:
             return
@@ -256,11 +205,7 @@ class FrictionExperiment:
             self._begin(Phase.MEASURE, now)
 
     def _measure(self, now: float) -> None:
-        """Measure until the mean is precise enough, or the time is up.
-
-        Raises:
-            ExperimentError: There is too little feedback, or it contradicts itself.
-        """
+        """Measure until the mean is precise enough, or the time is up."""
         elapsed = now - self._phase_start
         if now - self._last_check < CHECK_PERIOD or elapsed < self._plan.min_measurement:
             return

@@ -16,35 +16,21 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
-#: Fraction of the speed without friction below which a wheel counts as obstructed
-MIN_FREE_SPEED_FRACTION = 0.3
-#: Ratio to the current of the configured friction above which a wheel counts as strained
-STRAIN_FACTOR = 5.0
-#: Smallest current of a strained wheel, over the motor's largest current
-MIN_STRAIN_FRACTION = 0.15
-#: Number of currents whose median is checked for strain, so that single spikes do not count
-MEDIAN_LENGTH = 9
-#: Pause in voltages or states from which a level is restarted [s]: the drives may have ramped down
-#: by themselves.
-MAX_PAUSE = 0.08
-#: Difference between a voltage and its command that is accepted, over the command
-VOLTAGE_TOLERANCE_FRACTION = 0.3
-#: Difference between a voltage and its command that is accepted in addition [V]
-VOLTAGE_TOLERANCE = 0.5
+MIN_FREE_SPEED_FRACTION = 0.3  #: Ratio to the free speed below which a wheel is obstructed
+STRAIN_FACTOR = 5.0  #: Ratio to the configured friction's current from which a wheel is strained
+MIN_STRAIN_FRACTION = 0.15  #: Least current of a strained wheel over the largest current
+MEDIAN_LENGTH = 9  #: Number of currents whose median is checked for strain: spikes do not count
+MAX_PAUSE = 0.08  #: Pause from which a level is restarted [s]: drives may have ramped down
+VOLTAGE_TOLERANCE_FRACTION = 0.3  #: Accepted deviation of a voltage, over its command
+VOLTAGE_TOLERANCE = 0.5  #: Deviation of a voltage that is accepted in addition [V]
 AT_REST_SPEED = 0.05  #: Speed below which a wheel counts as being at rest [rad/s]
 
 
 class FeedbackMonitor:
     """Holds the latest feedback of the drives and checks it.
 
-    Args:
-        robot: The robot as configured.
-        now: Current time [s].
-
-    Attributes:
-        stamp: Time at which the latest state was measured, on the robot's clock [s].
-        speed: (n,) latest wheel speeds [rad/s]; infinite until a state is received.
-        current: (n,) latest motor currents [A].
+    Feedback of a wrong size, or that is not finite or not newer, raises an InputError; a check
+    that fails raises an ExperimentError.
     """
 
     def __init__(self, robot: Robot, plan: VoltagePlan, now: float) -> None:
@@ -56,9 +42,9 @@ class FeedbackMonitor:
         self._strain_limit = self._strain_limits(robot)
         self._recent_currents: deque[Array] = deque(maxlen=MEDIAN_LENGTH)
         self._received_at = {"wheel_states": now, "wheel_electrical": now}
-        self.stamp = -math.inf
-        self.speed = np.full(n, math.inf)
-        self.current = np.zeros(n)
+        self.stamp = -math.inf  #: Time of the latest state, on the robot's clock [s]
+        self.speed = np.full(n, math.inf)  #: (n,) latest speeds [rad/s]; infinite without a state
+        self.current = np.zeros(n)  #: (n,) latest motor currents [A]
 
     def _strain_limits(self, robot: Robot) -> Array:
         """Return the currents (n,) [A] above which wheels do not rotate freely, ramps included."""
@@ -81,14 +67,9 @@ class FeedbackMonitor:
             stamp: Time at which it was measured, on the robot's clock [s].
             position: (n,) positions, not wrapped [rad].
             velocity: (n,) speeds [rad/s].
-            now: Current time [s].
 
         Returns:
             The time between this state and the one before, 0 for the first [s].
-
-        Raises:
-            InputError: A number is not finite, a size is wrong, or the stamp is not after the one
-                before.
         """
         n = len(self._names)
         for label, values, bound in (
@@ -106,11 +87,7 @@ class FeedbackMonitor:
         return pause
 
     def on_electrical(self, voltage: Array, current: Array, now: float) -> None:
-        """Process voltages (n,) [V] and currents (n,) [A] of the motors.
-
-        Raises:
-            InputError: A size is wrong, or a number is not finite.
-        """
+        """Process voltages (n,) [V] and currents (n,) [A] of the motors."""
         n = len(self._names)
         for label, values in (("voltages", voltage), ("currents", current)):
             if values.shape != (n,):
@@ -130,14 +107,10 @@ class FeedbackMonitor:
     # ---- checks -------------------------------------------------------------------------------
 
     def voltage_deviation(self, voltage: Array, level: float) -> str:
-        """Describe a voltage that differs from the commanded one; empty if all are correct.
+        """Describe a voltage, of (n,) [V], that is not as commanded [V]; empty if all are correct.
 
         Drives may ramp down by themselves if commands do not reach them in time. The voltages show
         that, the states do not.
-
-        Args:
-            voltage: (n,) measured voltages [V].
-            level: Commanded level [V].
         """
         commanded = level * self._plan.signs
         tolerance = VOLTAGE_TOLERANCE_FRACTION * np.abs(commanded) + VOLTAGE_TOLERANCE
@@ -151,15 +124,7 @@ class FeedbackMonitor:
         )
 
     def check(self, level: float, now: float) -> None:
-        """Check that feedback arrives, and that no wheel is too fast or strained.
-
-        Args:
-            level: Commanded level [V].
-            now: Current time [s].
-
-        Raises:
-            ExperimentError: A check failed.
-        """
+        """Check that feedback arrives, and that no wheel is too fast or strained."""
         for topic, received_at in self._received_at.items():
             if now - received_at > self._plan.feedback_timeout:
                 raise ExperimentError(f"no {topic} for {now - received_at:.2f} s")
@@ -184,12 +149,6 @@ class FeedbackMonitor:
         """Check that all wheels rotate as fast as a constant voltage demands.
 
         Voltages below the check level are not judged: stiction may hold a wheel there.
-
-        Args:
-            level: Commanded level [V].
-
-        Raises:
-            ExperimentError: A wheel is too slow.
         """
         if not np.isfinite(self.speed).all() or abs(level) < self._plan.check_level - 1e-9:
             return

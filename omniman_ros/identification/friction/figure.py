@@ -28,11 +28,7 @@ COLUMNS = 2  #: Number of panels side by side
 
 
 def draw(record: FrictionRecord, wheels: Sequence[WheelFriction], path: Path) -> None:
-    """Draw a panel for each wheel, and save the figure.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Draw a panel for each wheel, and save the figure; a failure raises an OSError."""
     rows = math.ceil(len(wheels) / COLUMNS)
     with figure_style(axes_titlesize=10):
         figure, panels = plt.subplots(

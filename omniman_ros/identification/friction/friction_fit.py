@@ -39,15 +39,12 @@ from omniman_ros.identification.friction.robust_statistics import (
 
 Pair = tuple[float, float]  #: Viscous friction a [N m s/rad] and Coulomb friction b [N m]
 
-#: Share of the Coulomb friction that the smooth model must reach at the speed of a usable run
-MODEL_SHARE = 0.999
+MODEL_SHARE = 0.999  #: Share of the Coulomb friction that the model must reach in a usable run
 #: Speed at which the model's smooth sign reaches that share [rad/s]; slower runs are left out
 MIN_SPEED = SIGN_WIDTH * MODEL_SHARE / math.sqrt(1.0 - MODEL_SHARE**2)
 MIN_RUNS = 3  #: Number of runs in each direction that a fit needs
-#: Ratio of the fastest to the slowest run in each direction that separates a from b
-MIN_SPEED_RATIO = 2.0
-#: Smallest relative error of a torque that is assumed, as no measurement is more precise
-RESOLUTION = 0.002
+MIN_SPEED_RATIO = 2.0  #: Ratio of fastest to slowest run per direction that separates a from b
+RESOLUTION = 0.002  #: Smallest relative error of a torque that is assumed
 DIFFERENCE_LEVEL = 0.01  #: Significance level of the test for a difference between the directions
 
 
@@ -65,8 +62,7 @@ class SteadyRun:
     error: Array  #: Standard error of each mean current [A]
     steady: Flags  #: Whether each wheel's speed was constant
     samples: int  #: Number of current samples in a mean
-    #: Number of current samples of each motor that were rejected as outliers
-    spikes: NDArray[np.int64]
+    spikes: NDArray[np.int64]  #: Number of rejected current samples of each motor
 
     def __post_init__(self) -> None:
         for name, kind, bound in (
@@ -104,16 +100,14 @@ class WheelFriction:
     coulomb: Estimate  #: Coulomb friction b, common to both directions [N m]
     forward: Pair  #: a and b of the forward direction
     backward: Pair  #: a and b of the backward direction
-    #: p-value of the hypothesis that the directions are equal (F test on a and b)
-    difference: float
+    difference: float  #: p-value of the hypothesis of equal directions (F test on a and b)
     noise: float  #: Standard deviation of the torque of a run about the fit [N m]
     freedom: int  #: Degrees of freedom
     outliers: tuple[int, ...]  #: Indices of the runs whose weight is zero or nearly so
     left_out: tuple[int, ...]  #: Indices of the runs that were too slow or not steady
     back_emf: Estimate  #: N K from voltage, current and speed [V s/rad]
     nominal_back_emf: float  #: N K as configured [V s/rad]
-    #: (4, 4) covariance of a, b, and half the differences of b and of a between the directions
-    covariance: Array
+    covariance: Array  #: (4, 4) covariance of a, b, and half the differences of b and of a
 
     @property
     def differs(self) -> bool:
@@ -126,26 +120,12 @@ class WheelFriction:
         return self.back_emf.value / self.nominal_back_emf - 1.0
 
     def torque(self, speeds: Array) -> Array:
-        """Evaluate the friction torque with the a and b that both directions share.
-
-        Args:
-            speeds: (k,) speeds other than 0 [rad/s].
-
-        Returns:
-            (k,) friction torques [N m].
-        """
+        """Return friction torques (k,) [N m] at speeds (k,) [rad/s] other than 0."""
         torque: Array = self.viscous.value * speeds + self.coulomb.value * np.sign(speeds)
         return torque
 
     def band(self, speeds: Array) -> Array:
-        """Return the half width of the 95 % interval of :meth:`torque`.
-
-        Args:
-            speeds: (k,) speeds other than 0 [rad/s].
-
-        Returns:
-            (k,) half widths [N m].
-        """
+        """Return the half widths (k,) of the 95 % interval of :meth:`torque` [N m]."""
         rows = np.column_stack([speeds, np.sign(speeds)])
         variance = np.einsum("ki,ij,kj->k", rows, self.covariance[:2, :2], rows)
         width: Array = student_95(self.freedom) * np.sqrt(variance)
@@ -161,13 +141,10 @@ def friction_torque(run: SteadyRun, robot: Robot) -> Array:
 
 
 def identify_friction(runs: Sequence[SteadyRun], robot: Robot) -> tuple[WheelFriction, ...]:
-    """Fit the friction of each wheel.
+    """Fit the friction of each wheel, in the robot's order.
 
     Args:
         robot: The robot as configured; its configured friction is not used.
-
-    Returns:
-        The friction of each wheel, in the robot's order.
 
     Raises:
         InputError: A run has another number of wheels than the robot, or a wheel has too few
@@ -181,7 +158,6 @@ def identify_friction(runs: Sequence[SteadyRun], robot: Robot) -> tuple[WheelFri
 
 
 def _identify_wheel(runs: Sequence[SteadyRun], robot: Robot, k: int) -> WheelFriction:
-    """Fit the friction of the wheel with index k."""
     motor, name = robot.motor, robot.wheels.names[k]
     is_usable = [bool(run.steady[k]) and abs(run.speed[k]) >= MIN_SPEED for run in runs]
     indices = [index for index, usable in enumerate(is_usable) if usable]
@@ -214,16 +190,7 @@ def _identify_wheel(runs: Sequence[SteadyRun], robot: Robot, k: int) -> WheelFri
 
 
 def _fit_torques(speeds: Array, torques: Array, error: float) -> RobustFit:
-    """Fit a line to each direction.
-
-    Args:
-        speeds: (k,) wheel speeds [rad/s].
-        torques: (k,) friction torques [N m].
-        error: Typical standard error of a torque [N m].
-
-    Returns:
-        The coefficients a, b, and half the differences of b and of a between the directions.
-    """
+    """Fit a line to each direction: a, b, and half the differences of b and of a."""
     signs, magnitudes = np.sign(speeds), np.abs(speeds)
     columns = np.column_stack([speeds, signs, np.ones(len(speeds)), magnitudes])
     start = np.zeros(len(torques))

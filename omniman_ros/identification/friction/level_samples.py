@@ -10,17 +10,12 @@ from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.friction.robust_statistics import line_slopes, robust_mean
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
-#: Ratio of the torque of inertia to that of friction below which a speed counts as constant
-INERTIA_FRACTION = 0.01
-#: Relative change of the speed per second, over the largest speed, that always counts as constant
-#: [1/s].
-SPEED_DRIFT = 0.002
+INERTIA_FRACTION = 0.01  #: Ratio of inertia's to friction's torque below which a speed is constant
+SPEED_DRIFT = 0.002  #: Relative change of the speed that always counts as constant [1/s]
 WINDOW = 0.5  #: Duration over which the slope of the speed is estimated [s]
 MIN_SAMPLES = 20  #: Smallest number of speeds in a window, and of currents in a mean
-#: Accepted difference between the speeds by velocities and by positions, over the speed
-MAX_RELATIVE_MISMATCH = 0.05
-#: Difference between these two speeds that is accepted in addition to that [rad/s]
-MAX_MISMATCH = 0.2
+MAX_RELATIVE_MISMATCH = 0.05  #: Accepted difference of the speeds, over the speed
+MAX_MISMATCH = 0.2  #: Difference of these speeds that is accepted in addition [rad/s]
 
 
 class ExperimentError(OmnimanError):
@@ -28,14 +23,7 @@ class ExperimentError(OmnimanError):
 
 
 class LevelSamples:
-    """Collects the samples of one voltage level.
-
-    Args:
-        robot: The robot as configured.
-
-    Attributes:
-        reference_current: (n,) currents at the first, low voltage [A]; zero until they are set.
-    """
+    """Collects the samples of one voltage level."""
 
     def __init__(self, robot: Robot, plan: VoltagePlan) -> None:
         motor = robot.motor
@@ -47,6 +35,7 @@ class LevelSamples:
         self._speeds: list[tuple[float, Array]] = []
         self._positions: list[tuple[float, Array]] = []
         self._electrical: list[tuple[Array, Array]] = []
+        #: (n,) currents at the first, low voltage [A]; zero until they are set
         self.reference_current = np.zeros(robot.wheel_count)
 
     def clear(self) -> None:
@@ -103,11 +92,7 @@ class LevelSamples:
         return steady
 
     def average(self) -> SteadyRun:
-        """Average the samples.
-
-        Raises:
-            ExperimentError: The speeds by positions and by velocities disagree.
-        """
+        """Average the samples; contradictory speeds raise an ExperimentError."""
         current, error, spikes = robust_mean(np.array([row for _, row in self._electrical]))
         voltage = np.median([row for row, _ in self._electrical], axis=0)
         speed, _ = line_slopes(

@@ -35,11 +35,7 @@ class FrictionRecord:
 
 
 def save(record: FrictionRecord, path: Path) -> None:
-    """Write a record completely or not at all.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a record completely, or not at all with an OSError."""
     tree: dict[str, Any] = {
         "robot": flatten(record.robot),
         "runs": [
@@ -52,16 +48,11 @@ def save(record: FrictionRecord, path: Path) -> None:
 
 
 def load(path: Path) -> FrictionRecord:
-    """Read a record.
-
-    Raises:
-        CommandError: The file does not exist, or is not such a record.
-    """
+    """Read a record; without such a file, a CommandError is raised."""
     return load_record(path, FORMAT, "recorded runs", _parse)
 
 
 def _parse(tree: Mapping[str, Any]) -> FrictionRecord:
-    """Return the record that a file contains."""
     truth = tree["truth"]
     return FrictionRecord(
         robot=build(Robot, tree["robot"]),

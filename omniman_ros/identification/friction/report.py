@@ -9,8 +9,7 @@ from omniman_ros.console.terminal import table
 from omniman_ros.identification.friction.friction_fit import MIN_SPEED, Estimate, WheelFriction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth
 
-#: Relative deviation of N K from the configured value above which a warning is given
-BACK_EMF_TOLERANCE = 0.03
+BACK_EMF_TOLERANCE = 0.03  #: Relative deviation of N K above which a warning is given
 
 Wheels = Sequence[WheelFriction]  #: Identified friction of each wheel, in the robot's order
 
@@ -105,7 +104,6 @@ def report(record: FrictionRecord, wheels: Wheels) -> list[str]:
 
 
 def _truth_lines(truth: Truth, wheels: Wheels) -> list[str]:
-    """Return a table that compares the result with the simulated friction."""
     rows: list[tuple[str, ...]] = [("in the simulation", "a", "error", "b", "error")]
     for k, wheel in enumerate(wheels):
         cells = []
@@ -125,7 +123,6 @@ def warnings(wheels: Wheels) -> list[str]:
 
 
 def _wheel_warnings(wheel: WheelFriction) -> list[str]:
-    """Return warnings about the friction of one wheel."""
     lines = []
     (a1, b1), (a2, b2) = wheel.forward, wheel.backward
     if wheel.differs:

@@ -15,12 +15,9 @@ from omniman_ros.core.arrays import Array
 
 Flags = NDArray[np.bool_]  #: Array of flags, one per row or per wheel
 
-#: Residual over the scale at which the biweight reaches zero; 95 % efficient for normal errors
-TUKEY_CUTOFF = 4.685
-#: Residual over the first scale up to which a row belongs to the first least squares
-START_CUTOFF = 2.5
-#: Smallest mean slope of the biweight's psi that is used; it is 0.8 for normal errors
-MIN_PSI_SLOPE = 0.2
+TUKEY_CUTOFF = 4.685  #: Residual over the scale where the biweight is zero; 95 % efficient
+START_CUTOFF = 2.5  #: Residual over the first scale up to which a row is fitted first
+MIN_PSI_SLOPE = 0.2  #: Smallest mean slope of the biweight's psi; 0.8 for normal errors
 OUTLIER_CUTOFF = 3.5  #: Residual over the scale from which a row counts as an outlier
 NORMAL_95 = 1.95996  #: Two-sided 95 % quantile of the normal distribution
 MAD_TO_SIGMA = 1.4826  #: Standard deviation of normal errors over their median magnitude
@@ -40,17 +37,10 @@ class RobustFit:
 
 
 def least_median_line(x: Array, y: Array) -> Array:
-    """Evaluate the line through two of the points that has the smallest median residual.
+    """Return the line through two of the points with the smallest median residual, at `x` (k,).
 
     Of k residuals, number (k + 3) / 2 by size represents the median: a line through two of only a
     few points is always near half of them (Rousseeuw and Leroy 1987).
-
-    Args:
-        x: (k,) abscissas.
-        y: (k,) ordinates.
-
-    Returns:
-        (k,) values of the line at `x`.
     """
     i, j = np.triu_indices(len(x), 1)
     distinct = np.abs(x[i] - x[j]) > 1e-3 * np.ptp(x)
@@ -154,11 +144,7 @@ def student_95(freedom: int) -> float:
 
 
 def robust_mean(samples: Array) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Average the columns of (k, n) samples with Huber's weights, k >= 1.
-
-    Returns:
-        The means (n,), their standard errors (n,), and the number of spikes in each column (n,).
-    """
+    """Return means, standard errors and numbers of spikes (n,) of (k, n) samples, k >= 1."""
     count = len(samples)
     centre = np.median(samples, axis=0)
     deviation = np.abs(samples - centre)
@@ -184,15 +170,7 @@ def robust_mean(samples: Array) -> tuple[Array, Array, NDArray[np.int64]]:
 
 
 def line_slopes(times: list[float], values: list[Array]) -> tuple[Array, Array]:
-    """Fit straight lines to the columns of sampled values by least squares.
-
-    Args:
-        times: k sample times [s].
-        values: k samples (n,).
-
-    Returns:
-        The slopes (n,) and their standard errors (n,), per second.
-    """
+    """Fit lines to samples (n,) at times [s]; return slopes and standard errors (n,) [1/s]."""
     at = np.array(times) - times[0]
     at = at - at.mean()
     table = np.array(values)

@@ -36,9 +36,7 @@ class VoltagePlan:
     settle_timeout: float = 6.0  #: Longest time until the speeds must be constant [s]
     min_measurement: float = 1.5  #: Shortest duration of a measurement [s]
     max_measurement: float = 20.0  #: Longest duration of a measurement [s]
-    #: Standard error of a mean current over the current of the friction, at which a measurement
-    #: ends.
-    precision: float = 0.005
+    precision: float = 0.005  #: Relative standard error at which a measurement ends
     feedback_timeout: float = 0.3  #: Time without feedback after which the experiment ends [s]
 
     @property
@@ -93,11 +91,8 @@ def make_plan(
     spacing.
 
     Args:
-        robot: The robot as configured.
         levels: Number of voltages in each direction, at least 3.
         rounds: Number of times that each voltage is applied.
-        precision: See :class:`VoltagePlan`.
-        feedback_timeout: See :class:`VoltagePlan` [s].
 
     Raises:
         InputError: An argument is out of its range, or the robot is too slow to be measured.
@@ -124,7 +119,6 @@ def make_plan(
         return motor.resistance * friction / gain
 
     def voltage(speed: float) -> float:
-        """Return the voltage for a speed, never above the highest."""
         return min(back_emf * speed + friction_voltage(speed), highest)
 
     top = (highest - friction_voltage(highest / back_emf)) / back_emf

@@ -10,8 +10,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Wheels
 
-#: Position and heading (x, y, theta) of base_link on the floor [m, m, rad]
-Pose = tuple[float, float, float]
+Pose = tuple[float, float, float]  #: Position and heading of base_link on the floor [m, m, rad]
 
 
 @dataclass(frozen=True)
@@ -24,11 +23,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Standard deviations of a measured pose.
-
-    Raises:
-        InputError: A standard deviation is not above 0.
-    """
+    """Standard deviations of a measured pose; one not above 0 raises an InputError."""
 
     position: float = 0.003  #: Standard deviation of each coordinate [m]
     heading: float = math.radians(0.3)  #: Standard deviation of the heading [rad]

@@ -52,8 +52,7 @@ LENIENT_TIMEOUTS = (
 )
 NODES = ("platform_controller", "simulated_drive")  #: Nodes of the simulated robot
 TRUTH_TOPIC = "ground_truth/odom"  #: Topic on which the simulated drive publishes the true pose
-#: Accuracy of a tape measure and a mark on the floor
-TYPED_ACCURACY = Accuracy(0.003, math.radians(0.3))
+TYPED_ACCURACY = Accuracy(0.003, math.radians(0.3))  #: Of a tape measure and a mark
 TOPIC_ACCURACY = Accuracy(0.001, math.radians(0.1))  #: Accuracy of a motion-capture system
 #: Errors of the simulated robot's geometry unless the user sets them: radii and mounting of the
 #: wheels.
@@ -79,11 +78,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def stated_accuracy(args: argparse.Namespace) -> Accuracy | None:
-    """Return the accuracy of the measured poses that the user stated, or None.
-
-    Raises:
-        CommandError: The accuracy is out of its range.
-    """
+    """Return the stated accuracy of poses, or None; a wrong one raises a CommandError."""
     if args.accuracy is None:
         return None
     millimetres, degrees = args.accuracy
@@ -115,11 +110,7 @@ def drive_simulated_robot(args: argparse.Namespace, accuracy: Accuracy | None) -
 
 
 def mismatch_parameters(robot: str) -> list[str]:
-    """Return parameters that make the simulated wheels differ from the configuration.
-
-    Returns:
-        Assignments NAME:=VALUE.
-    """
+    """Return assignments NAME:=VALUE by which the simulated wheels differ from the configured."""
     n = build(Robot, load_robot(robot)).wheel_count
     return [
         f"{name}:=[{', '.join(str(values[i % len(values)]) for i in range(n))}]"
@@ -153,8 +144,6 @@ def measure(
     Args:
         truth: Topic of a measured pose, or None to ask the user.
         accuracy: Accuracy of the poses; None means the usual one of their source.
-        poll: Called many times a second; raises to end early.
-        keyboard: File descriptor of the user's input; None if the user is not asked.
     """
     progress = Progress()
     with ExitStack() as stack:
@@ -212,11 +201,7 @@ def keep(record: OdometryRecord, folder: Path) -> None:
 
 
 def conclude(record: OdometryRecord, folder: Path) -> int:
-    """Fit the odometry, report it, write the files, and return the exit code.
-
-    Raises:
-        InputError: The runs do not determine the factors.
-    """
+    """Fit, report, write the files, and return the exit code; a failure raises an InputError."""
     calibration = identify(record.campaign, record.odometry)
     say("\n".join(report(record, calibration)))
     found_faults = faults(record, judge(record, calibration))

@@ -24,8 +24,7 @@ MIN_RAMP_TIME = 1.0  #: Shortest time from rest to full speed [s]
 MAX_SPEED_FRACTION = 0.7  #: Largest speed that the user may choose, over the robot's limit
 ANGULAR_SPEED_FRACTION = 0.5  #: Largest yaw rate of the runs, over the robot's limit
 ACCELERATION_FRACTION = 0.8  #: Largest acceleration of the runs, over the robot's limit
-#: Largest slope of a smoothstep of degree 5, over that of the straight line
-SMOOTHSTEP_SLOPE = 1.875
+SMOOTHSTEP_SLOPE = 1.875  #: Largest slope of a quintic smoothstep, over the straight line's
 
 
 CORNERS = {
@@ -79,9 +78,6 @@ class Speeds:
     def within(cls, limits: TwistLimits, linear: float) -> "Speeds":
         """Combine the speed that the user chose with a yaw rate and a ramp within the limits.
 
-        Args:
-            linear: Largest speed [m/s].
-
         Raises:
             CommandError: The speed is not above 0, or above 70 % of the limit.
         """
@@ -131,15 +127,12 @@ class SmoothProgress:
     Args:
         rate: Largest rate [1/s].
         ramp: Time from rest to this rate, and back to rest [s].
-
-    Attributes:
-        duration: Time from 0 to 1 [s].
     """
 
     def __init__(self, rate: float, ramp: float) -> None:
         self._rate = min(rate, 1.0 / ramp)
         self._ramp = ramp
-        self.duration = 1.0 / self._rate + ramp
+        self.duration = 1.0 / self._rate + ramp  #: Time from 0 to 1 [s]
 
     def sample(self, time: float) -> Triple:
         """Return the progress, its rate [1/s] and its acceleration [1/s^2] at a time [s]."""
@@ -161,15 +154,7 @@ Shape = Callable[[float], tuple[Triple, Triple, Triple]]
 
 
 class Motion:
-    """A drive along a path, from rest to rest.
-
-    Args:
-        shape: Path in the frame of `start`.
-        start: Pose of this frame in odom [m, m, rad].
-
-    Attributes:
-        duration: Duration of the drive [s].
-    """
+    """A drive along a path, which is in the frame of a start in odom, from rest to rest."""
 
     def __init__(self, shape: Shape, start: Triple, speeds: Speeds) -> None:
         self._shape = shape
@@ -178,7 +163,7 @@ class Motion:
         linear = max(math.hypot(x, y) for x, y, _ in slopes) / speeds.linear
         angular = max(abs(rate) for _, _, rate in slopes) / speeds.angular
         self._progress = SmoothProgress(1.0 / max(linear, angular, 1e-3), speeds.ramp)
-        self.duration = self._progress.duration
+        self.duration = self._progress.duration  #: Duration of the drive [s]
 
     def sample(self, time: float) -> PlanarSample:
         """Return the reference in odom at a time after the start [s]."""
@@ -195,7 +180,6 @@ class Motion:
         )
 
     def _rotated(self, vector: tuple[float, ...]) -> Triple:
-        """Rotate a vector from the frame of the start to odom."""
         c, s = math.cos(self._start[2]), math.sin(self._start[2])
         x, y, angle = vector
         return c * x - s * y, s * x + c * y, angle
@@ -211,10 +195,7 @@ def check_shape(reach: float) -> Shape:
     """Return the check path, to which no factor is fitted.
 
     It is curved, rotates by 1.5 pi, and does not end at its start:
-    x = a sin(5/2 pi s), y = -a sin(pi s)^2, theta = 3/2 pi s.
-
-    Args:
-        reach: a, see :func:`max_reach` [m].
+    x = a sin(5/2 pi s), y = -a sin(pi s)^2, theta = 3/2 pi s, where a is the reach [m].
     """
 
     def shape(s: float) -> tuple[Triple, Triple, Triple]:
@@ -229,17 +210,7 @@ def check_shape(reach: float) -> Shape:
 
 
 def displacement_to(pose: Triple, heading: float, corner: str, reach: float) -> Triple:
-    """Return the displacement from a pose on the floor to a corner.
-
-    Args:
-        pose: Pose on the floor [m, m, rad]; the heading may be wrapped.
-        heading: Heading to arrive with [rad].
-        corner: Name of the corner, a key of `CORNERS`.
-        reach: See :func:`max_reach` [m].
-
-    Returns:
-        x, y [m] and rotation [rad] in the frame of the pose.
-    """
+    """Return the way from a pose to a corner and a heading, in the pose's frame [m, m, rad]."""
     x, y = CORNERS[corner]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = reach * x - pose[0], reach * y - pose[1]

@@ -29,21 +29,11 @@ from omniman_ros.identification.odometry.record import (
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
 from omniman_ros.identification.robot_session import RobotSession
 
-#: Number of runs that a delayed controller or machine may cancel before their ends
-MAX_CANCELLED_RUNS = 3
+MAX_CANCELLED_RUNS = 3  #: Number of runs that may be cancelled before their ends
 
 
 class OdometryExperiment:
-    """Drives runs, and collects them with the measured poses.
-
-    Args:
-        robot: Session that drives the robot.
-        reach: Distance of base_link from the middle to a side of the square [m].
-        record: Record without runs.
-
-    Attributes:
-        record: The record with the runs that were driven so far.
-    """
+    """Drives runs, and collects them with the measured poses."""
 
     def __init__(
         self,
@@ -61,14 +51,10 @@ class OdometryExperiment:
         self._speeds = speeds
         self._reach = reach
         self._cancelled_runs = 0
-        self.record = record
+        self.record = record  #: The record with the runs that were driven so far
 
     def drive_all(self, targets: Sequence[RunTarget]) -> None:
-        """Drive all runs, then the check path.
-
-        Raises:
-            CommandError: A run cannot be driven to its end.
-        """
+        """Drive all runs, then the check path; one that fails raises a CommandError."""
         pose = self._poses.start()
         self.record = replace(self.record, poses=(pose,))
         heading = 0.0
@@ -78,11 +64,7 @@ class OdometryExperiment:
         self._drive_check(pose, heading)
 
     def _drive_run(self, name: str, pose: Triple, heading: float, target: RunTarget) -> Triple:
-        """Drive a run from a pose on the floor.
-
-        Returns:
-            The pose at its end [m, m, rad]: measured, or by the odometry if it was not measured.
-        """
+        """Drive a run; return the pose at its end [m, m, rad], measured or by odometry."""
         self._progress.begin(name + " ")
         self._robot.start_recording()
         displacement = displacement_to(pose, heading, target.corner, self._reach)
@@ -98,7 +80,6 @@ class OdometryExperiment:
         return measured or end
 
     def _drive_check(self, pose: Triple, heading: float) -> None:
-        """Return to the initial pose, and drive the check path."""
         name = "check"
         if self.record.poses[-1] is None:
             say("  no check: the pose before it was not measured")
@@ -122,11 +103,7 @@ class OdometryExperiment:
         self.record = replace(self.record, check=check)
 
     def _count_cancelled(self, name: str) -> None:
-        """Count a run that was cancelled on its way; its recorded wheel motion is valid.
-
-        Raises:
-            CommandError: Too many runs were cancelled.
-        """
+        """Count a run that was cancelled on its way; its recorded wheel motion is valid."""
         self._cancelled_runs += 1
         if self._cancelled_runs > MAX_CANCELLED_RUNS:
             raise CommandError(
@@ -154,11 +131,7 @@ class OdometryExperiment:
 
 
 def expected_duration(run_count: int, reach: float, speeds: Speeds) -> float:
-    """Return the approximate duration of the runs and the check [s].
-
-    Args:
-        reach: Distance of base_link from the middle to a side of the square [m].
-    """
+    """Return the approximate duration of the runs and the check [s]."""
     origin = (0.0, 0.0, 0.0)
     side = Motion(straight_shape((2.0 * reach, 0.0, 0.0)), origin, speeds).duration
     rotation = Motion(straight_shape((0.0, 0.0, math.pi)), origin, speeds).duration

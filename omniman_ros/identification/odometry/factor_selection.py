@@ -32,12 +32,8 @@ from omniman_ros.identification.odometry.least_squares import (
     wheel_model,
 )
 
-#: Standard deviation above which a combination of factors counts as undetermined, in relative
-#: units.
-MAX_DEVIATION = 0.01
-#: Share of a factor in such a combination, over the largest share, from which the factor belongs
-#: to the combination.
-MIN_SHARE = 0.3
+MAX_DEVIATION = 0.01  #: Relative deviation above which a combination is undetermined
+MIN_SHARE = 0.3  #: Share, over the largest, from which a factor belongs to a combination
 #: Test value above which a measured pose is an outlier: the part of the squared residuals that an
 #: error of this pose would explain, over its 3 degrees of freedom and the variance of the rest (or
 #: 1 if that is smaller). It is 99.9 % of F(3, 20), 99.997 % of chi-square.
@@ -54,8 +50,7 @@ class Factor:
     name: str  #: Name of the parameter; `wheel_scale.NAME` is the factor of one wheel
     value: float  #: Fitted value
     before: float  #: Value in force while the runs were driven
-    #: Half width of the 95 % confidence interval; None if the factor was not fitted
-    half_width: float | None
+    half_width: float | None  #: Half width of the 95 % interval; None if it was not fitted
 
 
 @dataclass(frozen=True)
@@ -80,21 +75,18 @@ class Calibration:
     """The result of a calibration."""
 
     model: str  #: "wheels" or "twist"
-    #: Parameters to put into force; `correction` and `wheel_scale` have changed
-    parameters: OdometryParameters
+    parameters: OdometryParameters  #: Parameters with new `correction` and `wheel_scale`
     factors: tuple[Factor, ...]  #: All factors of the model
     undetermined: tuple[UndeterminedFactors, ...]  #: Factors that the runs cannot distinguish
     outliers: tuple[Outlier, ...]  #: Measured poses that were left out
     chi_square: float  #: Sum of the squared residuals over their variances
     freedom: int  #: Degrees of freedom
-    #: Factor on all variances, where the poses scatter more than was stated; else 1
-    inflation: float
+    inflation: float  #: Factor on all variances where the poses scatter more; else 1
     condition: float  #: Ratio of the Jacobian's singular values
     #: Increase of the cost with factors per wheel relative to the whole matrix, over the
     #: inflation; None if factors per wheel cannot be determined.
     wheels_chi_square: float | None
-    #: Largest increase at which factors per wheel are chosen; None likewise
-    wheels_limit: float | None
+    wheels_limit: float | None  #: Largest increase at which they are chosen; None likewise
 
 
 @dataclass(frozen=True)
@@ -143,11 +135,7 @@ def identify(campaign: Campaign, present: OdometryParameters) -> Calibration:
 def _fit_determined(
     campaign: Campaign, chain: PoseChain, model: Model
 ) -> tuple[Solution, tuple[UndeterminedFactors, ...]]:
-    """Fit the factors of a model that the runs determine.
-
-    Raises:
-        InputError: The runs determine no factor.
-    """
+    """Fit the factors of a model that the runs determine."""
     free = tuple(range(len(model.factors)))
     undetermined: list[UndeterminedFactors] = []
     slope = jacobian(campaign, chain, model, model.values)
@@ -254,7 +242,6 @@ def _chi_square_80(freedom: int) -> float:
 
 
 def _factors(model: Model, solution: Solution, present: OdometryParameters) -> tuple[Factor, ...]:
-    """Return the model's factors with their confidence intervals."""
     before = _present_values(model, present)
     widths: dict[int, float] = {}
     if solution.free:

@@ -29,8 +29,7 @@ from omniman_ros.core.robot import Wheels
 from omniman_ros.identification.odometry.campaign import Campaign
 from omniman_ros.identification.odometry.wheel_integration import arcs, between, forward_matrix
 
-#: Names of the factors on the diagonal of the matrix on the twist
-SCALES = ("scale_x", "scale_y", "scale_yaw")
+SCALES = ("scale_x", "scale_y", "scale_yaw")  #: Factors on the diagonal of the twist's matrix
 #: Names of the factors beside the diagonal of that matrix
 CROSS_TERMS = ("x_per_y", "x_per_yaw", "y_per_x", "y_per_yaw", "yaw_per_x", "yaw_per_y")
 DIFFERENCE_STEP = 1e-6  #: Step of the central differences, in relative units
@@ -44,15 +43,10 @@ class Model:
     """Some factors of the odometry as unknowns, in relative units: 0.01 is 1 % of each factor."""
 
     name: str  #: Name of the model, for messages
-    #: p names of the unknowns; `wheel_scale.NAME` is the factor of one wheel
-    factors: tuple[str, ...]
+    factors: tuple[str, ...]  #: p names of the unknowns; `wheel_scale.NAME` is of one wheel
     base: OdometryParameters  #: Parameters that contain all other factors
-    #: (p,) one relative unit of each factor in the factor's own unit (a length for a factor in
-    #: m/rad, for example).
-    units: Array
-    #: (p,) ranks: of factors that cannot be distinguished, those of the highest rank are not
-    #: fitted.
-    ranks: tuple[int, ...]
+    units: Array  #: (p,) one relative unit of each factor in the factor's own unit
+    ranks: tuple[int, ...]  #: (p,) ranks: the highest is not fitted, if indistinguishable
     #: Maps values (p,) in the factors' own units to parameters
     apply: Callable[[Sequence[float]], OdometryParameters]
 
@@ -66,12 +60,7 @@ class Model:
 
 
 def twist_model(wheels: Wheels, present: OdometryParameters) -> Model:
-    """Return the model of the nine factors on the twist; the wheels' own factors do not change.
-
-    Args:
-        wheels: The wheels as configured.
-        present: Parameters in force while the runs were driven.
-    """
+    """Return the model of the nine factors on the twist; the wheels' own factors do not change."""
     size = max(map(math.hypot, wheels.x, wheels.y))
     length = {"x_per_yaw": size, "y_per_yaw": size, "yaw_per_x": 1 / size, "yaw_per_y": 1 / size}
     names = SCALES + CROSS_TERMS
@@ -90,10 +79,6 @@ def wheel_model(wheels: Wheels, present: OdometryParameters) -> Model:
     These are the effects of wrong radii and rollers. There is no factor for x: the rollers of a
     Mecanum wheel do not rotate while the robot drives ahead, so travel ahead measures the radii.
     The cross terms are zero.
-
-    Args:
-        wheels: The wheels as configured.
-        present: Parameters in force while the runs were driven.
     """
     n = len(wheels.names)
     scale = present.wheel_scale if len(present.wheel_scale) == n else present.wheel_scale * n
@@ -114,9 +99,6 @@ class PoseChain:
     A residual is the measured pose of a station in the frame of the station before it, less the
     same pose by the odometry: three rows for each pair of stations. Errors e of the measured poses
     result in the residuals G e, whose covariance is G S G', block tridiagonal.
-
-    Attributes:
-        shifts: (r, r + 3) whitened residuals that a unit error of each measured pose would make.
     """
 
     def __init__(self, campaign: Campaign) -> None:
@@ -143,17 +125,11 @@ class PoseChain:
         )
         spread = errors * deviation
         self._whiten = np.linalg.inv(np.linalg.cholesky(spread @ spread.T))
+        #: (r, r + 3) whitened residuals that a unit error of each measured pose would make
         self.shifts = self._whiten @ errors
 
     def residuals(self, forward: Array) -> Array:
-        """Return the whitened residuals.
-
-        Args:
-            forward: (3, n) forward Jacobian.
-
-        Returns:
-            (r,) residuals, each of variance 1 if the Jacobian is right.
-        """
+        """Return the whitened residuals (r,) of a forward Jacobian (3, n)."""
         displacements = self._run_displacements(forward).tolist()
         rows = []
         for (start, end), measured in zip(self._pairs, self._measured, strict=True):
@@ -189,8 +165,7 @@ class Solution:
     free: tuple[int, ...]  #: Indices of the model's factors that were fitted
     values: Array  #: (p,) all of the model's factors, in their own units
     residuals: Array  #: (r,) whitened residuals
-    #: (r, f) derivatives of the whitened residuals by the fitted factors, in relative units
-    jacobian: Array
+    jacobian: Array  #: (r, f) derivatives of the whitened residuals, in relative units
 
     @property
     def cost(self) -> float:
@@ -209,14 +184,7 @@ class Solution:
 
 
 def jacobian(campaign: Campaign, chain: PoseChain, model: Model, values: Array) -> Array:
-    """Differentiate the whitened residuals by all factors of a model.
-
-    Args:
-        values: (p,) values of its factors, in their own units.
-
-    Returns:
-        (r, p) derivatives, in relative units.
-    """
+    """Return the derivatives (r, p) of the residuals at values (p,), in relative units."""
 
     def residuals(trial: Array) -> Array:
         return chain.residuals(forward_matrix(campaign.wheels, model.apply(trial.tolist())))
@@ -241,9 +209,6 @@ def solve(
     The residuals are nearly linear in the factors, so a Jacobian is used until a step is longer
     than `JACOBIAN_UPDATE_STEP`.
 
-    Args:
-        base_jacobian: (r, p) :func:`jacobian` at the model's base.
-
     Raises:
         InputError: The iteration does not converge: the measured poses are not those of the runs.
     """
@@ -267,9 +232,5 @@ def solve(
 
 
 def validated(parameters: OdometryParameters) -> OdometryParameters:
-    """Return the parameters if each is within its range.
-
-    Raises:
-        ParameterError: A parameter is out of its range.
-    """
+    """Return the parameters; one that is out of range raises a ParameterError."""
     return build(OdometryParameters, flatten(parameters))

@@ -12,8 +12,7 @@ from omniman_ros.identification.line_reader import LineReader
 
 MAX_COORDINATE = 100.0  #: Largest coordinate that is accepted as metres [m]
 MAX_DEGREES = 36000.0  #: Largest heading that is accepted [degrees]
-#: Distance from the odometry above which the user must confirm a typed pose [m]
-MAX_POSITION_DEVIATION = 0.3
+MAX_POSITION_DEVIATION = 0.3  #: Distance from which a typed pose must be confirmed [m]
 #: Heading difference from the odometry above which the user must confirm a typed pose [rad]
 MAX_HEADING_DEVIATION = math.radians(15.0)
 #: Description of the input that is expected
@@ -59,12 +58,7 @@ def _parse_number(word: str) -> float:
 
 
 def describe_deviation(typed: Triple, expected: Triple) -> str:
-    """Describe the deviation of a typed pose from the odometry's; empty if it is small.
-
-    Args:
-        typed: Pose that the user typed [m, m, rad].
-        expected: Pose by the odometry [m, m, rad].
-    """
+    """Describe the deviation of a typed pose from the odometry's; empty if it is small."""
     distance = math.hypot(typed[0] - expected[0], typed[1] - expected[1])
     angle = abs(math.remainder(typed[2] - expected[2], math.tau))
     if distance <= MAX_POSITION_DEVIATION and angle <= MAX_HEADING_DEVIATION:
@@ -83,19 +77,11 @@ class PoseSource(Protocol):
         """Return the pose before the first run [m, m, rad]."""
 
     def measure(self, run: str, expected: Triple) -> Triple | None:
-        """Return the pose after a run [m, m, rad]; None if it was not measured.
-
-        Args:
-            expected: Pose by the odometry [m, m, rad].
-        """
+        """Return the pose after a run [m, m, rad]; None if it was not measured."""
 
 
 class TypedPoses:
-    """Poses that the user measures and types.
-
-    Args:
-        wait: Serves ROS for a moment; raises to end.
-    """
+    """Poses that the user measures and types."""
 
     def __init__(self, lines: LineReader, wait: Callable[[], None]) -> None:
         self._lines = lines
@@ -130,15 +116,7 @@ class TypedPoses:
 
 
 def floor_pose(origin: Triple, pose: Triple) -> Triple:
-    """Transform a pose to the frame of the origin.
-
-    Args:
-        origin: Pose of the origin [m, m, rad].
-        pose: Pose in the same frame [m, m, rad].
-
-    Returns:
-        The pose in the frame of the origin; the heading is wrapped.
-    """
+    """Return a pose [m, m, rad] in the frame of the origin; its heading is wrapped."""
     c, s = math.cos(origin[2]), math.sin(origin[2])
     dx, dy = pose[0] - origin[0], pose[1] - origin[1]
     return c * dx + s * dy, -s * dx + c * dy, math.remainder(pose[2] - origin[2], math.tau)
@@ -151,15 +129,12 @@ class TopicPoses:
         topic: Name of the topic, for messages.
         pose_at_rest: Returns the mean of some messages while the robot is at rest, or None if
             none was received.
-
-    Attributes:
-        origin: Pose of the floor's frame in the frame of the topic; None until `start`.
     """
 
     def __init__(self, topic: str, pose_at_rest: Callable[[], Triple | None]) -> None:
         self._topic = topic
         self._pose_at_rest = pose_at_rest
-        self.origin: Triple | None = None
+        self.origin: Triple | None = None  #: Pose of the floor's frame; None until `start`
 
     def _pose(self) -> Triple:
         pose = self._pose_at_rest()

@@ -17,8 +17,7 @@ from omniman_ros.identification.record_file import load_record, save_record
 FORMAT = "omniman odometry runs 1"  #: Name and version of the file format
 #: Units of the numbers in the file
 UNITS = "m, rad, s; poses (x, y, heading) of base_link on the floor"
-#: Number of decimals of positions and poses; the rounding error is far below an encoder count
-DIGITS = 7
+DIGITS = 7  #: Number of decimals; the rounding error is far below an encoder count
 
 
 @dataclass(frozen=True)
@@ -45,11 +44,7 @@ class OdometryRecord:
 
     @property
     def campaign(self) -> Campaign:
-        """The runs to fit.
-
-        Raises:
-            InputError: Too few poses were measured.
-        """
+        """The runs to fit; too few measured poses raise an InputError."""
         return Campaign(self.wheels, self.runs, self.poses, self.accuracy)
 
     def with_run(self, run: Run, pose: Pose | None) -> "OdometryRecord":
@@ -58,12 +53,7 @@ class OdometryRecord:
 
 
 def without_standstill(times: Array, positions: Array) -> tuple[Array, Array]:
-    """Remove rows in which no wheel has moved since the row before; the last row stays.
-
-    Args:
-        times: (k,) times [s].
-        positions: (k, n) wheel positions [rad].
-    """
+    """Remove rows in which no wheel has moved since the row before; the last row stays."""
     keep = np.ones(len(positions), dtype=bool)
     keep[1:] = (np.diff(positions, axis=0) != 0.0).any(axis=1)
     keep[-1] = True
@@ -71,11 +61,7 @@ def without_standstill(times: Array, positions: Array) -> tuple[Array, Array]:
 
 
 def save(record: OdometryRecord, path: Path) -> None:
-    """Write a record completely or not at all.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a record completely, or not at all with an OSError."""
     tree: dict[str, Any] = {
         "wheels": flatten(record.wheels),
         "odometry": flatten(record.odometry),
@@ -100,16 +86,11 @@ def save(record: OdometryRecord, path: Path) -> None:
 
 
 def load(path: Path) -> OdometryRecord:
-    """Read a record.
-
-    Raises:
-        CommandError: The file does not exist, or is not such a record.
-    """
+    """Read a record; without such a file, a CommandError is raised."""
     return load_record(path, FORMAT, "recorded runs", _parse)
 
 
 def _parse(tree: Mapping[str, Any]) -> OdometryRecord:
-    """Return the record that a file contains."""
     check = tree["check"]
     return OdometryRecord(
         wheels=build(Wheels, tree["wheels"]),

@@ -15,10 +15,8 @@ from omniman_ros.identification.odometry.least_squares import CROSS_TERMS, SCALE
 from omniman_ros.identification.odometry.record import CheckDrive, OdometryRecord
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
 
-#: Names below `odometry.` of the parameters that a calibration sets
-PARAMETERS = (*SCALES, *CROSS_TERMS, "wheel_scale")
-#: Scatter of the measured poses over the stated one above which the user is told
-MAX_SCATTER = 3.0
+PARAMETERS = (*SCALES, *CROSS_TERMS, "wheel_scale")  #: Names below `odometry.` that are set
+MAX_SCATTER = 3.0  #: Scatter over the stated one above which the user is told
 CHECK_ERRORS = {
     "rms_mm": ("along the path, RMS", "mm"),
     "max_mm": ("along the path, max", "mm"),
@@ -31,9 +29,6 @@ def errors_on(
     check: CheckDrive, record: OdometryRecord, parameters: OdometryParameters
 ) -> dict[str, float]:
     """Evaluate the errors of the odometry along the check path.
-
-    Args:
-        record: The record with the wheels.
 
     Returns:
         Errors by the keys of `CHECK_ERRORS`: those along the path where poses were measured on the
@@ -82,12 +77,7 @@ def judge(record: OdometryRecord, calibration: Calibration) -> dict[str, Any]:
 
 
 def faults(record: OdometryRecord, check: Mapping[str, Any]) -> list[str]:
-    """Return the reasons not to use the calibration.
-
-    Args:
-        record: The record with the accuracy of the poses.
-        check: Result of :func:`judge`.
-    """
+    """Return the reasons not to use the calibration."""
     if not check:
         return []
     key = check["removed_of"]

@@ -22,23 +22,13 @@ def _forward_jacobian(wheels: Wheels, scale: tuple[float, ...]) -> Array:
 
 
 def forward_matrix(wheels: Wheels, parameters: OdometryParameters) -> Array:
-    """Return the calibrated forward Jacobian.
-
-    Args:
-        wheels: The wheels as configured, without calibration.
-
-    Returns:
-        (3, n) matrix from wheel steps [rad] to displacements of the body [m, m, rad].
-    """
+    """Return the calibrated forward Jacobian (3, n), from wheel steps [rad] to [m, m, rad]."""
     forward: Array = parameters.correction @ _forward_jacobian(wheels, parameters.wheel_scale)
     return forward
 
 
 def arcs(displacements: Array) -> tuple[Array, Array, Array]:
-    """Integrate constant twists on SE(2).
-
-    Args:
-        displacements: (k, 3) twists multiplied by their durations [m, m, rad].
+    """Integrate twists (k, 3) times their durations [m, m, rad] on SE(2).
 
     Returns:
         The displacements ahead (k,) and to the left (k,) in the frame at the start [m], and the
@@ -53,17 +43,9 @@ def arcs(displacements: Array) -> tuple[Array, Array, Array]:
 
 
 def integrate(forward: Array, positions: Array, start: Pose = (0.0, 0.0, 0.0)) -> Array:
-    """Integrate recorded wheel positions to poses.
+    """Integrate wheel positions (k, n) [rad] to poses (k, 3) [m, m, rad], not wrapped.
 
     The steps are composed on SE(2) with a constant twist within each, as `Odometry.update` does.
-
-    Args:
-        forward: (3, n) forward Jacobian.
-        positions: (k, n) wheel positions [rad].
-        start: Pose at the first position [m, m, rad].
-
-    Returns:
-        (k, 3) poses [m, m, rad]; the headings are not wrapped.
     """
     dx, dy, turn = arcs(np.diff(positions, axis=0) @ forward.T)
     poses = np.empty((len(positions), 3))
@@ -76,15 +58,7 @@ def integrate(forward: Array, positions: Array, start: Pose = (0.0, 0.0, 0.0)) -
 
 
 def compose(first: Array, second: Array) -> Array:
-    """Transform a pose from the frame of another pose to the frame that this one is given in.
-
-    Args:
-        first: (3,) pose in the outer frame [m, m, rad].
-        second: (3,) pose in the frame of `first` [m, m, rad].
-
-    Returns:
-        (3,) pose in the outer frame; the heading is not wrapped.
-    """
+    """Return the pose (3,) whose coordinates in the frame of `first` are `second`, not wrapped."""
     c, s = math.cos(first[2]), math.sin(first[2])
     x, y, theta = second.tolist()
     pose: Array = first + np.array([c * x - s * y, s * x + c * y, theta])
