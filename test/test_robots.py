@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import yaml
 
-from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.errors import ParameterError
@@ -121,12 +120,6 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, text):
     path.write_text(text)
     with pytest.raises(ParameterError, match="ros__parameters"):
         load_robot(str(path))
-
-
-def test_helpers_make_what_they_say():
-    assert robots.parameters("ig42", {"drive.mode": "torque"}).drive.mode == "torque"
-    assert robots.robot("omniman", {"body.mass": 99.0}).body.mass == 99.0
-    PlatformKinematics(robots.random_wheels(np.random.default_rng(1), 7))
 
 
 def test_a_robot_is_read_anew_after_a_change_of_what_was_read_or_of_the_file(tmp_path):
