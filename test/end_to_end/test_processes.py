@@ -15,7 +15,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from omniman_ros.control.platform import LATE_DELIVERY
 from test.nodes.harness import free_domain
 from test.tiers import exhaustive
 
@@ -110,40 +109,6 @@ def test_the_drive_ramps_to_rest_when_the_controller_is_killed():
         robot.drive_until(lambda: robot.speed() > 0.39, "the robot at speed")
         controller.kill()
         robot.drive_until(lambda: abs(robot.speed()) < 0.001, "the robot at rest")
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("silence", [1.9, 0.5])
-def test_twist_that_waited_while_the_controller_was_suspended_does_not_drive(silence):
-    """Both a twist in the queue and one that DDS delivers again, up to 3 s later, are too old."""
-    with NodeProcesses() as robot:
-        robot.start("simulated_drive")
-        controller = robot.start("platform_controller")
-        robot.drive_until(lambda: robot.speed() > 0.39, "the robot at speed")
-        controller.send_signal(signal.SIGSTOP)
-        suspended = time.monotonic()
-        robot.drive_until(lambda: time.monotonic() > suspended + 2.0 - silence, "the last twist")
-        robot.spin_until(lambda: time.monotonic() > suspended + 2.0, "the end of the stall")
-        robot.commands.clear()
-        robot.truth.clear()
-        controller.send_signal(signal.SIGCONT)
-        resumed = time.monotonic()
-        robot.spin_until(lambda: time.monotonic() > resumed + LATE_DELIVERY, "a late delivery")
-        assert robot.commands, "the controller goes on"
-        assert max(abs(odometry.twist.twist.linear.x) for odometry in robot.truth) < 0.01
-        robot.drive_until(lambda: robot.speed() > 0.39, "the robot at speed again")
-
-
-@pytest.mark.exhaustive
-def test_stream_that_goes_on_while_the_controller_is_suspended_drives_again():
-    with NodeProcesses() as robot:
-        robot.start("simulated_drive")
-        controller = robot.start("platform_controller")
-        robot.drive_until(lambda: robot.speed() > 0.39, "the robot at speed")
-        controller.send_signal(signal.SIGSTOP)
-        robot.drive_until(lambda: abs(robot.speed()) < 0.001, "the robot at rest")
-        controller.send_signal(signal.SIGCONT)
-        robot.drive_until(lambda: robot.speed() > 0.39, "the robot at speed again")
 
 
 def test_nodes_run_on_the_clock_that_the_drive_publishes():

@@ -117,21 +117,6 @@ def test_margin_and_share_of_the_limits_are_published(rig):
     assert sum(values["wheel_loads_N"]) == pytest.approx(190.0 * 9.80665, abs=3.0)
 
 
-def test_a_stop_in_a_bad_posture_ramps_every_wheel_within_the_lowered_deceleration(rig):
-    rig.hold(LEFT)
-    rig.drive(0.0, 0.3, 0.0, seconds=1.2)
-    twist = rig.core.setpoint
-    share = rig.core.stability.share
-    since = len(rig.commands)
-    rig.core.latch.stop("button")
-    limits = rig.core.parameters.limits
-    rig.assert_stops(since, within=twist[1] / (share * limits.linear_deceleration) + 0.1)
-    steps = np.diff(rig.speeds(since), axis=0) / 0.005
-    bound = rig.wheel_deceleration(share * limits.linear_deceleration, 0.0)
-    assert (np.abs(steps) <= bound + 1e-9).all()
-    rig.core.reset(rig.node.now())
-
-
 def set_mass(rig, mass):
     request = SetParameters.Request(
         parameters=[Parameter("arm.mass", value=mass).to_parameter_msg()]

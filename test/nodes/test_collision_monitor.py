@@ -10,7 +10,7 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist, Vector3
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rclpy.parameter import Parameter
@@ -20,7 +20,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.conversions.motion_limits import motion_limit_message
 from omniman_ros.conversions.poses import path_message
-from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
@@ -150,22 +149,6 @@ def test_wheels_slow_down_within_35_ms_of_an_observation_at_every_phase_of_the_m
             )
         assert len(set(delays)) > 1, "the phase matters"
         assert max(delays) <= 0.035, delays
-
-
-def test_a_robot_that_brakes_less_slows_down_earlier():
-    with Robot() as robot:
-        health = robot.publisher(DiagnosticStatus, "wheel_health", LATCHED)
-        assert robot.monitor.core.limits.deceleration == robot.core.limits.deceleration
-        values = [KeyValue(key=LIMIT_SCALE_KEY, value="0.8")]
-        values.append(KeyValue(key=POSTURE_SCALE_KEY, value="0.5"))
-        health.publish(DiagnosticStatus(values=values))
-        robot.run(0.1)
-        left = 0.4 * np.array(robot.core.limits.deceleration)
-        assert robot.monitor.core.limits.deceleration == pytest.approx(left)
-        values[1].value = "-1"
-        health.publish(DiagnosticStatus(values=values))
-        robot.run(0.1)
-        assert robot.monitor.core.limits.deceleration == pytest.approx(left), "ignored"
 
 
 def test_a_silent_monitor_stops_the_robot_and_a_returning_one_lets_it_go_on():

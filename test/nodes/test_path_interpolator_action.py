@@ -13,7 +13,7 @@ from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.trajectory_goal import ErrorCode
 from test import ros_interfaces
 from test.nodes.test_path_interpolator import BENT
-from test.nodes.test_path_interpolator_arm import FAR, HOME, trajectory
+from test.nodes.test_path_interpolator_arm import FAR, trajectory
 from test.nodes.test_path_interpolator_whole_body import BODY, GOAL, WholeBodyWorld
 
 ARM_ACTION, BODY_ACTION = (
@@ -97,32 +97,11 @@ def test_a_cancel_brings_the_whole_body_to_rest_on_the_path(world):
     world.assert_both_smooth()
 
 
-def test_a_new_goal_replaces_the_active_one(world):
-    _, first = world.send_goal(ARM_ACTION, trajectory([FAR]))
-    world.run(0.5)
-    _, second = world.send_goal(ARM_ACTION, trajectory([HOME + 0.2]))
-    world._await(first.done, "the first's result")
-    assert first.result().status == GoalStatus.STATUS_ABORTED
-    assert world.result(second)[0] == GoalStatus.STATUS_SUCCEEDED
-    assert world.joints == pytest.approx(HOME + 0.2, abs=1e-6)
-    world.assert_arm_smooth()
-
-
 def test_a_goal_that_violates_limits_is_aborted_with_the_reason(world):
     _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], [0.2], BODY))
     status, code, text = world.result(future)
     assert (status, code) == (GoalStatus.STATUS_ABORTED, ErrorCode.INVALID_GOAL)
     assert "odom_x: velocity" in text and not world.references
-
-
-def test_a_goal_that_waits_for_the_platform_is_reached(world):
-    world.follows_stream = False
-    world.send(BENT)
-    world.run(0.6)
-    world.follows_stream = True
-    _, future = world.send_goal(BODY_ACTION, trajectory([[0.2]], names=["odom_x"]))
-    assert "is waiting" in world.node.motions.whole_body.status.text
-    assert world.result(future)[0] == GoalStatus.STATUS_SUCCEEDED
 
 
 def test_a_goal_may_name_the_platforms_axes_as_moveit_does(world):
@@ -147,23 +126,6 @@ def test_a_waiting_goal_can_be_cancelled(world):
     before = len(world.references)
     world.run(2.0)
     assert len(world.references) == before
-
-
-def test_a_stop_aborts_the_goal_with_the_reason(world):
-    _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], names=BODY))
-    world.run(1.0)
-    world.follows_stream = False
-    world.publish_source("stop")
-    status, _, text = world.result(future, 1.0)
-    assert status == GoalStatus.STATUS_ABORTED and "stopped" in text
-
-
-def test_a_goal_is_aborted_when_the_arm_does_not_arrive(world):
-    _, future = world.send_goal(ARM_ACTION, trajectory([FAR]))
-    world.joint_offset[2] = 0.05
-    status, code, text = world.result(future, 30.0)
-    assert status == GoalStatus.STATUS_ABORTED and "elbow_joint" in text
-    assert code == ErrorCode.GOAL_TOLERANCE_VIOLATED
 
 
 def test_a_shutdown_waits_until_the_client_has_the_result(world):

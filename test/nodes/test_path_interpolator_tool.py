@@ -152,17 +152,6 @@ def test_the_arm_compensates_the_platform_error(world):
     assert np.sqrt(np.mean(errors**2)) < 5e-4 and errors.max() < 2e-3
 
 
-@pytest.mark.exhaustive
-def test_the_platform_error_remains_without_correction():
-    with ToolWorld({"tool_path.correction": False}) as world:
-        world.send_tool(CORNERS)
-        world.run_to_motion_start()
-        began = world.time
-        world.platform_error = lambda time: np.array([0.0, 0.005, 0.0]) * min(time - began, 1.0)
-        world.run_to_motion_end()
-        assert world.tool_errors().max() == pytest.approx(0.005, abs=5e-4)
-
-
 def test_a_large_error_slows_the_motion_and_a_larger_one_ends_it(world):
     world.send_tool(CORNERS)
     world.run_to_motion_start()
@@ -178,36 +167,6 @@ def test_a_large_error_slows_the_motion_and_a_larger_one_ends_it(world):
     world.run(0.5)
     assert world.preview(-1).end_speed == 0.0
     assert world.joint_previews[-1][2].end_speed == 0.0
-
-
-@pytest.mark.exhaustive
-def test_a_motion_that_is_given_up_keeps_the_correction(world):
-    world.send_tool(CORNERS)
-    world.run_to_motion_start()
-    began = world.time
-    world.platform_error = lambda time: np.array([0.0, min(0.02, 0.01 * (time - began)), 0.0])
-    world.run(4.0)
-    led = world.joint_previews[-1][2].sample(world.time + 1e-9)[0]
-    world.follows_stream = False
-    world.publish_source("cmd_vel")
-    world.run_until(lambda: world.node.motions.whole_body.idle, 1.0, "giving up")
-    world.run(0.1)
-    stop = world.joint_previews[-1][2]
-    assert np.abs(stop.sample(stop.start)[0] - led).max() < 0.01
-    assert stop.end_speed == 0.0
-
-
-@pytest.mark.exhaustive
-def test_a_persistent_large_error_does_not_hold_the_motion_forever(world):
-    world.send_tool(CORNERS)
-    world.run_to_motion_start()
-    began = world.time
-    world.platform_error = lambda time: np.array([0.0, min(0.0495, 0.02 * (time - began)), 0.0])
-    world.run(5.0)
-    here = world.tool_references[-1].pose.position.x
-    world.run(3.0)
-    assert not world.node.motions.whole_body.idle
-    assert world.tool_references[-1].pose.position.x > here + 0.01
 
 
 def test_a_tool_that_becomes_unreachable_is_reported(world, monkeypatch):
@@ -409,18 +368,3 @@ def test_the_diagnostics_report_the_latest_event(world):
     world.trajectories.publish(trajectory([READY + 0.1]))
     world.run(3.0)
     assert world.status().level == DiagnosticStatus.OK
-
-
-def test_a_single_platform_outlier_does_not_disturb_the_arm(world):
-    world.send_tool(CORNERS[:2])
-    world.run_to_motion_start()
-    world.run(2.0)
-    count, world.platform_error = len(world.joint_previews), lambda time: np.array([0.1, 0.0, 0.0])
-    world.run(PERIOD)
-    world.platform_error = lambda time: np.zeros(3)
-    world.run(0.5)
-    assert any("odom ignored: the platform would be 0.100 m" in t for t in world.warnings)
-    assert not world.node.motions.whole_body.idle and len(world.joint_previews) > count + 10
-    _, _, v, a = world.received_joint_motion(count - 5)
-    assert np.abs(v).max() < 0.3 and np.abs(a).max() < 1.0
-    world.run_to_motion_end()

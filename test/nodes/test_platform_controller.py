@@ -73,13 +73,6 @@ def test_topics_are_published_at_200_100_and_50_hz(rig):
     assert list(last(coupling).name) == ["constraint_1", "constraint_1_total"]
 
 
-def test_twist_is_limited_and_keeps_its_direction(rig):
-    rig.drive(30.0, 30.0, 0.0, seconds=3.0)
-    x, y, turn = rig.core.cascade.kinematics.J_pinv @ rig.speeds()[-1]
-    assert math.hypot(x, y) <= 1.0 + 1e-9
-    assert x == pytest.approx(y, rel=1e-9) and turn == pytest.approx(0.0, abs=1e-9)
-
-
 def test_stamped_cmd_vel_is_selected_by_parameter():
     with World(PlatformControllerNode, parameters={"cmd_vel_stamped": True}) as world:
         publisher = world.publisher(TwistStamped, "cmd_vel")
@@ -236,52 +229,6 @@ def test_every_cause_of_a_stop_ramps_every_wheel_to_zero(rig, way, direction):
     rig.assert_stops(since, within=way(rig) + STOP_TIME)
 
 
-LATCHING = [way for way in WAYS if way not in (stale, shutdown)]
-
-
-@pytest.mark.parametrize("way", LATCHING, ids=lambda way: way.__name__)
-def test_latched_stop_ignores_a_continuing_stream(rig, way):
-    rig.drive(0.3, seconds=0.5)
-    way(rig)
-    rig.drive(0.3, seconds=0.2 + STOP_TIME)
-    since = len(rig.commands)
-    rig.drive(0.3, seconds=0.5)
-    assert not rig.speeds(since).any()
-
-
-def test_stale_source_latches_no_stop(rig):
-    rig.drive(0.3, seconds=0.5)
-    rig.run(1.5)
-    rig.drive(0.3, seconds=0.3)
-    assert rig.speeds()[-1].all()
-
-
-def test_reset_starts_no_motion_and_needs_a_fresh_setpoint(rig):
-    rig.drive(0.3, seconds=0.5)
-    assert rig.call(Trigger, "platform_controller/stop").success
-    assert not rig.call(Trigger, "platform_controller/reset").success, "reset in motion"
-    rig.drive(0.3, seconds=STOP_TIME)
-    assert rig.call(Trigger, "platform_controller/reset").success
-    since = len(rig.commands)
-    rig.drive(0.3, seconds=0.6)
-    assert not rig.speeds(since).any(), "a stream from before the reset moved the robot"
-    rig.drive(0.0, seconds=0.1)
-    rig.drive(0.3, seconds=0.3)
-    assert rig.speeds()[-1].all()
-
-
-def test_reset_is_refused_while_the_emergency_stop_is_true(rig):
-    button = rig.publisher(Bool, "emergency_stop")
-    button.publish(Bool(data=True))
-    rig.run(0.1)
-    assert not rig.call(Trigger, "platform_controller/reset").success
-    button.publish(Bool(data=False))
-    rig.run(0.1)
-    rig.drive(0.3, seconds=0.2)
-    assert rig.core.at_rest, "emergency_stop false must not release the stop"
-    assert rig.call(Trigger, "platform_controller/reset").success
-
-
 def test_reset_is_refused_while_one_of_two_emergency_stops_is_true(rig):
     buttons = [rig.probe.create_publisher(Bool, "emergency_stop", LATCHED) for _ in range(2)]
     rig.run_until(lambda: all(b.get_subscription_count() == 2 for b in buttons), 5.0, "a match")
@@ -292,17 +239,6 @@ def test_reset_is_refused_while_one_of_two_emergency_stops_is_true(rig):
         rig.run(0.1)
     assert not rig.call(Trigger, "platform_controller/reset").success
     buttons[0].publish(Bool(data=False))
-    rig.run(0.1)
-    assert rig.call(Trigger, "platform_controller/reset").success
-
-
-def test_reset_is_refused_while_the_drive_is_dead(rig):
-    rig.drive(0.3, seconds=0.3)
-    rig.drive_alive = False
-    rig.run(STOP_TIME)
-    answer = rig.call(Trigger, "platform_controller/reset")
-    assert not answer.success and "wheel_states" in answer.message
-    rig.drive_alive = True
     rig.run(0.1)
     assert rig.call(Trigger, "platform_controller/reset").success
 
@@ -334,14 +270,6 @@ def test_stopped_peer_holds_the_robot_and_releases_without_a_reset(rig):
     rig.run(1.1)
     rig.drive(0.3, seconds=0.3)
     assert not rig.core.at_rest
-
-
-def test_wheel_that_does_not_follow_stops_the_robot(rig):
-    rig.run(0.2)
-    rig.stuck[2] = True
-    rig.drive(0.5, seconds=2.5)
-    assert "rear_left" in rig.core.latch.status.reason
-    assert not rig.speeds()[-1].any()
 
 
 # ---- invalid input ----------------------------------------------------------------------------
@@ -408,21 +336,6 @@ def test_invalid_previews_cause_no_motion(rig, case):
     since = len(rig.commands)
     rig.run(0.3, send)
     assert not rig.speeds(since).any()
-
-
-def test_preview_that_starts_elsewhere_causes_no_motion(rig):
-    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    since = len(rig.commands)
-    far = reference([0, 1], [(5, 0, 0), (5.5, 0, 0)], [(0.5, 0, 0)] * 2, rig.stamp())
-    rig.run(0.2, lambda: publisher.publish(far))
-    assert not rig.speeds(since).any()
-
-
-def test_preview_that_ends_in_motion_ramps_to_rest(rig):
-    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    rig.run(0.5, lambda: publisher.publish(straight(rig, seconds=0.3)))
-    assert rig.speeds()[-1].all()
-    rig.assert_stops(len(rig.commands) - 1, within=0.3 + STOP_TIME)
 
 
 def test_fuzzed_messages_cause_no_crash_and_no_motion():
@@ -704,28 +617,6 @@ def test_absurd_acceleration_in_a_preview_stays_within_the_limits(mode):
         assert max(efforts) <= limit + 1e-9
 
 
-def test_motion_after_a_stall_continues_from_the_measured_speeds(rig):
-    rig.drive(0.5, seconds=1.0)
-    stopped = rig.hooks.pop()
-    rig.time += 1.0  # no callback is served; the drives' watchdog brings the wheels to rest
-    standing = rig.position.copy()
-    resumed = int(rig.time)
-
-    def report() -> None:
-        rig._states.publish(rig.wheel_state(standing, [0.0] * 4))
-
-    rig.run(4 * PERIOD, report)
-    rig.hooks.append(stopped)
-    rig.position = standing
-    rig.drive(0.5, seconds=0.3)
-    assert rig.core.latch.released
-    speeds = np.array([c.velocity for c in rig.commands if c.header.stamp.sec >= resumed])
-    bound = rig.wheel_deceleration(1.2, 2.0) * PERIOD
-    assert np.abs(speeds[0]).max() <= bound.max(), "the setpoint from before the stall"
-    assert (np.abs(np.diff(speeds, axis=0)) <= bound + 1e-9).all()
-    assert speeds[-1].min() > 0.2, "the motion continues"
-
-
 def unstamped_preview(rig: Rig) -> MultiDOFJointTrajectory:
     message = straight(rig, seconds=1.0)
     message.header.stamp = Time()
@@ -769,21 +660,6 @@ def test_unstamped_setpoint_that_waited_in_its_queue_does_not_drive(
     assert rig.speeds()[-1].all(), "the next one drives"
 
 
-def test_slow_stream_does_not_take_over_by_itself(rig):
-    path = rig.publisher(MultiDOFJointTrajectory, "mpc/reference")
-    tick = iter(range(10**6))
-
-    def stream() -> None:
-        if next(tick) % 50 == 0:  # 4 Hz
-            path.publish(straight(rig, seconds=0.4))
-
-    rig.run(0.5, stream)
-    assert rig.core.arbiter.active is not None
-    rig.run(0.3, lambda: (stream(), rig.cmd_vel.publish(twist(0.0, 0.1))))
-    rig.run(1.2, stream)
-    assert rig.core.arbiter.active is None and rig.core.at_rest
-
-
 def test_preview_of_the_far_future_causes_no_motion(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     since = len(rig.commands)
@@ -809,50 +685,9 @@ def test_preview_with_too_many_points_is_rejected_unread(rig):
     assert not rig.speeds(since).any()
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("motor.max_speed", 0.5), ("limits.linear_velocity", 0.05)]
-)
-def test_speed_ramps_down_to_limits_lowered_in_motion(rig, name, value):
-    rig.drive(0.5, seconds=1.0)
-    since = len(rig.commands)
-    assert set_parameter(rig, name, value).successful
-    rig.drive(0.5, seconds=1.0)
-    bound = rig.wheel_deceleration(1.2, 2.0) * PERIOD
-    assert (np.abs(np.diff(rig.speeds(since - 1), axis=0)) <= bound + 1e-9).all()
-    assert np.abs(rig.speeds()[-1]).max() < 0.6
-
-
 def test_wheel_calibration_changes_only_at_rest(rig):
     rig.drive(0.5, seconds=0.5)
     refused = set_parameter(rig, "odometry.wheel_scale", [0.9])
     assert not refused.successful and "odometry.wheel_scale" in refused.reason
     rig.run(1.5)
     assert set_parameter(rig, "odometry.wheel_scale", [0.9]).successful
-
-
-def test_reset_is_refused_while_the_wheels_turn(rig):
-    assert rig.call(Trigger, "platform_controller/stop").success
-    rig.hooks.clear()
-    rig._states.publish(rig.wheel_state(rig.position, [5.0] * 4))
-    rig.run(PERIOD)
-    assert not rig.call(Trigger, "platform_controller/reset").success
-
-
-def test_voltages_that_drive_too_fast_are_cancelled(rig):
-    """The ideal drive reports the 1.3 m/s set by the test, above the limit of 1.0 m/s."""
-    publisher = rig.publisher(JointState, "mpc/voltages")
-    rig.hooks.clear()
-    turned = rig.position
-
-    def send() -> None:
-        nonlocal turned
-        turned = turned + 10.2 * PERIOD
-        rig._states.publish(rig.wheel_state(turned, [10.2] * 4))
-        message = JointState(name=rig.names, effort=[30.0] * 4)
-        message.header.stamp = rig.stamp()
-        publisher.publish(message)
-
-    count = len(rig.volts)
-    rig.run(0.5, send)
-    assert len(rig.volts) - count < 5
-    assert rig.core.arbiter.active is None

@@ -7,7 +7,6 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
@@ -103,15 +102,6 @@ def test_every_cause_of_a_stop_stops_every_true_wheel_despite_a_stream(way):
         assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 
-@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
-def test_robot_follows_and_stops_in_every_mode(mode):
-    with Robot("ig42", {"drive.mode": mode}) as world:
-        world.go(0.4, 0.0, 0.2, seconds=2.0)
-        assert world.true_twist() == pytest.approx([0.4, 0.0, 0.2], abs=0.03)
-        world.run(1.5)
-        assert np.abs(world.true_twist()).max() < 1e-3
-
-
 def test_robot_tolerates_lost_and_late_wheel_states():
     with Robot() as world:
         world.set("simulated_drive", "faults.lost_messages", 0.33)
@@ -119,15 +109,6 @@ def test_robot_tolerates_lost_and_late_wheel_states():
         world.go(0.3, 0.1, 0.2, seconds=3.0)
         assert world.core.latch.released
         assert world.true_twist() == pytest.approx([0.3, 0.1, 0.2], abs=0.02)
-
-
-def test_stuck_wheel_stops_all_wheels():
-    with Robot() as world:
-        world.go(0.4, 0.0, 0.0, seconds=1.0)
-        world.set("simulated_drive", "faults.stuck_wheel", ["rear_right"])
-        world.go(0.4, 0.0, 0.0, seconds=2.5)
-        assert "rear_right" in world.core.latch.status.reason
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 
 def values(message):
@@ -156,45 +137,6 @@ def repair(world: Robot) -> None:
     for node in ("simulated_drive", "platform_controller"):
         assert world.call(Trigger, f"{node}/reset").success
     world.go(0.0, 0.0, 0.0, seconds=0.1)
-
-
-@pytest.mark.exhaustive
-def test_six_wheels_lose_three_and_then_stop_until_repair_and_reset():
-    with Robot("mecanum6", {"drive.dead_wheel": "drive_on"}) as world:
-        health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)
-        report = world.listen(DiagnosticArray, "/diagnostics")
-        lost = ["middle_left", "middle_right", "front_left"]
-        world.go(0.2, 0.1, 0.1, seconds=0.8)
-        for count, limits in ((1, 0.5), (2, 0.5), (3, 0.456)):
-            world.set("simulated_drive", "faults.dead_motor", lost[:count])
-            world.go(0.2, 0.1, 0.1, seconds=1.2 if count < 3 else 2.4)
-            assert last(health).level == DiagnosticStatus.WARN
-            assert "dead: driving on without" in last(health).message
-            assert all(
-                (values(last(health))[name] == "idle") is (name in lost[:count])
-                for name in world.core.parameters.robot.wheels.names
-            )
-            assert float(values(last(health))["limits"]) == pytest.approx(limits, abs=1e-3)
-            assert world.true_twist() == pytest.approx([0.2, 0.1, 0.1], abs=0.02)
-        ours = [s for m in report for s in m.status if "platform_controller" in s.name][-1]
-        three = ["rear_right", "front_right", "rear_left"]
-        assert values(ours)["slip_not_observable"] == str(three)
-        world.set("simulated_drive", "faults.dead_motor", [*lost, "rear_left"])
-        world.go(0.2, 0.1, 0.1, seconds=2.0)
-        assert last(health).level == DiagnosticStatus.ERROR
-        assert last(health).message == (
-            "wheels 'front_left', 'middle_left', 'middle_right', 'rear_left' are dead"
-        )
-        assert values(last(health))["rear_left"] == "dead"
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
-        repair(world)
-        world.go(0.2, 0.1, 0.1, seconds=1.5)
-        assert world.true_twist() == pytest.approx([0.2, 0.1, 0.1], abs=0.02)
-        assert (last(health).level, last(health).message) == (
-            DiagnosticStatus.OK,
-            "all wheels drive",
-        )
-        assert values(last(health))["limits"] == "1"
 
 
 def test_three_wheels_drive_on_until_repair_and_reset():
@@ -226,17 +168,6 @@ def test_three_wheels_drive_on_until_repair_and_reset():
         world.go(0.3, 0.0, 0.0, seconds=1.5)
         assert last(health).level == DiagnosticStatus.OK
         assert world.core.wheel_health.idle == ()
-
-
-@pytest.mark.parametrize("way", representative(WAYS, every=2), ids=lambda way: way.__name__)
-def test_every_cause_of_a_stop_stops_every_true_wheel_with_a_dead_motor(way):
-    given = {"drive.dead": ["front_right"], "faults.dead_motor": ["front_right"]}
-    with Robot(parameters=given) as world:
-        world.go(0.3, 0.1, 0.1, seconds=1.5)
-        assert np.abs(world.wheel_speeds[-1]).min() > 0.5
-        way(world)
-        world.go(0.3, 0.1, 0.1, seconds=2.0)
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 
 @pytest.mark.parametrize(
@@ -274,10 +205,3 @@ def test_restarted_drive_starts_no_motion_by_itself():
         world.go(0.0, 0.0, 0.0, seconds=0.1)
         world.go(0.3, 0.0, 0.0, seconds=1.0)
         assert world.true_twist()[0] == pytest.approx(0.3, abs=0.02)
-
-
-def test_wheel_states_do_not_depend_on_the_controller():
-    with Robot() as world:
-        states = world.listen(JointState, "wheel_states")
-        world.run(0.1)
-        assert list(last(states).name) == list(world.core.parameters.robot.wheels.names)

@@ -1,12 +1,10 @@
 """The node `station_keeper` over real topics, on simulated time."""
 
 import math
-from functools import partial
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from std_msgs.msg import Bool, String
@@ -15,12 +13,9 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.motion.station.keeper import StationState
-from omniman_ros.nodes.platform_controller import PlatformControllerNode
-from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.station_keeper import StationKeeperNode
 from omniman_ros.nodes.stop_interface import LATCHED
-from test.nodes.harness import PERIOD, World, last
-from test.nodes.rig import twist
+from test.nodes.harness import PERIOD, World
 from test.tiers import representative
 
 OFFSET = (0.0, -1.3, 0.0)
@@ -295,53 +290,3 @@ def test_limits_can_be_changed_while_the_robot_keeps_its_station(follower):
 
 
 # ---- two robots ---------------------------------------------------------------------------------
-
-
-@pytest.mark.exhaustive
-def test_a_robot_keeps_its_station_beside_another_one_in_motion():
-    def robot(number, *kinds):
-        space = ["--ros-args", "-r", f"__ns:=/robot{number}"]
-        return [partial(kind, cli_args=space) for kind in kinds]
-
-    with World(
-        *robot(1, SimulatedDriveNode, PlatformControllerNode),
-        *robot(2, SimulatedDriveNode, PlatformControllerNode, StationKeeperNode),
-        parameters={"leader_topic": "/robot1/odom", "leader.odom_y": 2.0},
-    ) as world:
-        keeper = world.nodes[-1]
-        truth = [world.listen(Odometry, f"robot{i}/ground_truth/odom") for i in (1, 2)]
-        source = world.listen(String, "robot2/active_source", LATCHED)
-        cmd_vel = world.publisher(Twist, "robot1/cmd_vel")
-        stations = world.publisher(PoseStamped, "robot2/station")
-
-        def lead():
-            cmd_vel.publish(twist(SPEED, 0.0, 0.1))
-
-        def errors():
-            leader, follower = (last(messages).pose.pose for messages in truth)
-            theta = 2.0 * math.atan2(leader.orientation.z, leader.orientation.w)
-            place = (
-                leader.position.x - math.sin(theta) * OFFSET[1],
-                leader.position.y + 2.0 + math.cos(theta) * OFFSET[1],
-            )
-            turned = 2.0 * math.atan2(follower.orientation.z, follower.orientation.w) - theta
-            return math.dist(place, (follower.position.x, follower.position.y)), abs(turned)
-
-        world.run(1.0, lead)
-        stations.publish(station(*OFFSET))
-        world.run_until(
-            lambda: lead() or keeper.core.state is StationState.KEEPING, 15.0, "the station"
-        )
-        world.run(1.0, lead)
-        kept = []
-        world.run(2.0, lambda: (lead(), kept.append(errors())))
-        distance, angle = np.max(kept, axis=0)
-        assert distance < 0.02 and angle < math.radians(1.0)
-        assert last(source).data == "station"
-        world.run(4.0)  # the leader stops
-        distance, angle = errors()
-        assert distance < 0.02 and angle < math.radians(1.0)
-        assert abs(last(truth[1]).twist.twist.linear.x) < 1e-3
-        world.call(Trigger, "robot2/station_keeper/cancel")
-        world.run(1.0)
-        assert last(source).data == "none" and keeper.core.state is StationState.IDLE

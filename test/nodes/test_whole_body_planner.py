@@ -110,20 +110,6 @@ def test_what_cannot_be_is_refused_before_anything_moves():
         assert status.level == DiagnosticStatus.WARN and "no room beside" in status.message
 
 
-@pytest.mark.exhaustive
-def test_the_robot_waits_for_what_stands_on_its_way_and_goes_on():
-    with DodgeWorld(ON_PATH, is_source_silent=True) as world:
-        world.lead()
-        world.is_source_silent = False
-        world.run_until(lambda: bool(world.body.waiting_reason()), 20.0, "the wait")
-        assert world.status().message.startswith("waits: ")
-        assert not world.body.idle and world.gap > 0.02
-        world.posts = ()  # its marker lives for 1 s
-        world.run_to_motion_end(30.0)
-        assert world.body.status.text == "arrived"
-        assert world.tool_errors().max() < 1e-4
-
-
 def test_the_path_is_given_up_with_the_reason_when_it_waits_in_vain():
     with DodgeWorld(ON_PATH, parameters={"patience": 2.0}, is_source_silent=True) as world:
         world.lead()
@@ -230,18 +216,6 @@ def test_the_speed_scaling_of_the_arm_slows_platform_and_tool(world):
     world.scaling = 1.0
     world.run_to_motion_end(30.0)
     assert world.tool_errors().max() < 1e-4
-
-
-@pytest.mark.exhaustive
-def test_the_arm_compensates_the_platform_error(world):
-    world.lead()
-    began = world.time
-    world.platform_error = lambda time: (
-        np.array([0.004, 0.003, 0.004]) * np.sin(2.0 * (time - began))
-    )
-    world.run_to_motion_end(30.0)
-    errors = world.tool_errors()
-    assert np.sqrt(np.mean(errors**2)) < 5e-4 and errors.max() < 2e-3
 
 
 def test_a_platform_that_is_far_off_its_path_ends_it(world):

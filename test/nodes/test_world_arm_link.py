@@ -156,14 +156,6 @@ def test_the_node_ends_when_the_arm_has_come_to_rest(robot):
     assert not ArmLinkClient(robot.port).open(), "nobody moves it any more"
 
 
-def test_a_port_in_use_is_refused():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        with pytest.raises(ParameterError, match="arm_port"):
-            Robot(arm_port=taken.getsockname()[1])
-
-
 def test_steps_of_time_longer_than_a_cycle_of_the_controller_are_refused():
     with pytest.raises(ParameterError, match=r"state_rate.*at least 125 Hz"):
         Robot(publish_clock=True, use_sim_time=False, state_rate=100.0)
