@@ -20,7 +20,6 @@ from test.outlines import FORKS, outlined
 
 LOAD = LoadShape(length=0.3, width=0.2, height=0.15, distance=0.04)
 MARGIN = 0.05
-EVERYWHERE = np.array([-math.inf]), np.array([math.inf])
 REST = np.array([0.0, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0])
 
 

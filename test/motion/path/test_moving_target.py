@@ -18,10 +18,6 @@ def line(time):
     return HOME + RATE * time
 
 
-def wave(time):
-    return HOME + 0.3 * np.sin(3.0 * time) * np.ones(6)
-
-
 class StreamedArm(Arm):
     def point(self, position, velocity=None, due=LEAD, columns=ALL) -> None:
         velocity = np.zeros(len(columns)) if velocity is None else velocity

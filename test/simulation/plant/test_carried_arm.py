@@ -30,15 +30,6 @@ def test_the_plants_arm_is_that_of_the_controller(seed):
     assert true.tool_centre == tool
 
 
-def test_only_the_heading_of_the_arm_turns_its_mass_about_its_base():
-    arm, mount = robots.robot().arm, Mount(x=0.2, y=0.1, z=0.5, yaw=0.3)
-    straight = ArmMass(arm, mount).at(np.array([0.0, -0.8, 1.2, -0.4, 0.9, 0.0]))
-    turned = ArmMass(arm, mount).at(np.array([math.pi / 2, -0.8, 1.2, -0.4, 0.9, 0.0]))
-    x, y = straight.com_x - 0.2, straight.com_y - 0.1
-    assert (turned.com_x, turned.com_y) == pytest.approx((0.2 - y, 0.1 + x))
-    assert turned.com_z == pytest.approx(straight.com_z)
-
-
 def test_a_mass_that_moves_keeps_the_motion_of_the_platform_and_the_energy_balance():
     robot = robots.robot()
     simulation = build(SimulationParameters, robots.values())

@@ -34,16 +34,6 @@ def test_constant_speed_is_measured_without_bias(speed, counts):
             assert velocity == pytest.approx(speed, rel=1e-6)
 
 
-def test_position_is_whole_counts_and_does_not_wrap():
-    wheel = encoder()
-    turn(wheel, lambda t: 20.0 * t, 2.0)
-    assert wheel.count == math.floor(40.0 / COUNT)
-    assert wheel.position == pytest.approx(40.0, abs=COUNT)
-    assert wheel.position <= 40.0
-    turn(wheel, lambda t: 40.0 - 30.0 * (t - 2.0), 2.0, start=2.0)
-    assert wheel.count == math.floor(-20.0 / COUNT)
-
-
 @pytest.mark.parametrize(("speed", "lag"), [(10.0, 0.004), (3.0, 0.009), (1.0, 0.021)])
 def test_velocity_lag_equals_the_documented_lag(speed, lag):
     """On a slow ramp, measured(t) = speed(t - lag)."""

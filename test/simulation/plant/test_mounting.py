@@ -6,7 +6,6 @@ import pytest
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.plant.plant import Plant
 from test.simulation.plant.support import parameters, robot
-from test.simulation.plant.test_energy_balance import check
 
 MOUNTING = {
     "mismatch__radius": [1.02, 0.98, 1.01, 0.99],
@@ -53,25 +52,6 @@ def test_mismatched_robot_moves_like_one_with_that_configuration(name):
     np.testing.assert_allclose(one.pose, two.pose, atol=1e-12)
     np.testing.assert_allclose(one.twist, two.twist, atol=1e-12)
     assert np.abs(one.pose - nominal.pose).max() > 1e-3
-
-
-@pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("name", ["omniman", "ig42"])
-def test_energy_balances(name, seed):
-    rng = np.random.default_rng(seed)
-    full = robot(name).motor.max_voltage
-    table = rng.uniform(-full, full, (60, 4))
-    check(robot(name), parameters(**MOUNTING), lambda k: table[k // 25].tolist())
-
-
-def test_energy_balances_when_wheels_are_moved_in_motion():
-    plant = Plant(robot("omniman"), parameters())
-    for settings in ({}, MOUNTING, {"mismatch__heading": [0.2]}, {}):
-        plant.configure(robot("omniman"), parameters(**settings))
-        for k in range(200):
-            plant.step([20.0, 18.0, -5.0 + 0.1 * k, 15.0])
-    energy = plant.energy
-    assert abs(energy.residual) <= 1e-10 * energy.turnover
 
 
 def test_wheels_all_steered_left_drive_to_the_left():

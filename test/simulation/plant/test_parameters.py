@@ -5,9 +5,7 @@ import pytest
 
 import omniman_ros.simulation.plant
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.parameters import specs
-from omniman_ros.simulation.plant.parameters import SimulationParameters, flags, per_wheel
-from test.simulation.plant.support import parameters
+from omniman_ros.simulation.plant.parameters import flags, per_wheel
 
 MODULES = (
     "contact",
@@ -21,18 +19,6 @@ MODULES = (
     "lossy_channel",
 )
 CONFIGURATION = {"arrays", "errors", "parameters", "robot"}
-
-
-def test_every_parameter_has_a_description_and_a_default():
-    for spec in specs(SimulationParameters):
-        assert spec.doc.endswith((".", ")")), spec.name
-        assert not spec.required, spec.name
-    assert parameters().plant.substep == 0.001
-
-
-def test_only_the_substep_is_read_only():
-    fixed = [spec.name for spec in specs(SimulationParameters) if spec.read_only]
-    assert fixed == ["plant.substep"]
 
 
 def test_arrays_have_one_value_or_one_per_wheel():

@@ -194,18 +194,6 @@ def test_body_on_a_circle_moves_as_its_wheels_turn():
     np.testing.assert_allclose(plant.pose[:2], circle, atol=5e-4)
 
 
-def test_moving_the_robot_changes_nothing_in_the_robot_frame():
-    plants = [Plant(robot("omniman"), parameters()) for _ in range(2)]
-    for plant in plants:
-        run(plant, [20.0, 15.0, 22.0, 12.0], 0.5)
-    plants[1].set_pose([5.0, -3.0, 2.0])
-    np.testing.assert_allclose(plants[1].pose, [5.0, -3.0, 2.0])
-    for plant in plants:
-        run(plant, [20.0, 15.0, 22.0, 12.0], 0.5)
-    np.testing.assert_allclose(plants[0].twist, plants[1].twist, atol=1e-9)
-    np.testing.assert_allclose(speeds(plants[0]), speeds(plants[1]), atol=1e-9)
-
-
 def test_shorter_substeps_converge_and_a_millisecond_is_short_enough():
     def pose(step):
         plant = Plant(robot("omniman"), parameters(plant__substep=step))

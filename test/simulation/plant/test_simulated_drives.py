@@ -89,31 +89,6 @@ def test_velocity_loop_settles_on_the_setpoint(name, speed):
     np.testing.assert_allclose(states.velocity, speed, rtol=0.05)
 
 
-def test_feed_forward_torque_relieves_the_velocity_loop():
-    def lag(feed):
-        rig = Rig("omniman")
-        inertia = 0.08 + 160.4 * 0.127**2 / 4
-        effort = np.full(4, inertia * 4.0 + 0.8) if feed else None
-        errors = []
-        for k in range(500):
-            speeds = [4.0 * 0.001 * k] * 4
-            rig.drives.command_velocity(speeds, effort, rig.now)
-            rig.run(0.001, period=0.001)
-            errors.append(np.abs(rig.speeds() - speeds).max())
-        return max(errors)
-
-    assert lag(feed=True) < 0.3 * lag(feed=False)
-
-
-def test_held_wheel_does_not_wind_up_the_loop():
-    rig = Rig(faults__stuck_wheel=["front_left"])
-    rig.velocity(2.0, 1.0)
-    rig.drives.set_parameters(parameters())
-    seen = rig.velocity(1.5, 1.0)
-    assert seen[:, 0].max() < 8.0
-    assert seen[-1, 0] == pytest.approx(1.0, abs=0.1)
-
-
 def test_voltage_and_current_stay_within_their_limits():
     rig = Rig("omniman")
     for speed in (14.0, -14.0, 0.0, 14.0):
@@ -140,72 +115,11 @@ def test_torque_mode_produces_the_commanded_torque():
     assert rig.drives.mode is DriveUnitMode.TORQUE
 
 
-def test_torque_mode_corrects_a_wrong_amplifier_gain():
-    rig = Rig(
-        "ig42",
-        faults__stuck_wheel=robot("ig42").wheels.names,
-        mismatch__amplifier_gain=[0.8, 1.2, 1.0, 0.9],
-        firmware__encoder_tolerance=1e3,
-    )
-    rig.torque(0.2, 1.5)
-    np.testing.assert_allclose(rig.drives.wheel_states(rig.now).effort, 1.5, rtol=1e-3)
-
-
-def test_zero_torque_coasts():
-    rig = Rig("omniman")
-    rig.velocity(1.5, 5.0)
-    rig.torque(0.1, 0.0)
-    assert rig.speeds().min() > 4.0
-    assert np.abs(rig.drives.electrical()[:, 1]).max() < 1.0
-
-
 def test_voltage_mode_applies_and_clips_the_voltage():
     rig = Rig("ig42")
     rig.voltage(0.1, [3.0, -30.0, 0.0, 5.0])
     np.testing.assert_allclose(rig.drives.electrical()[:, 0], [3.0, -24.0, 0.0, 5.0])
     assert rig.drives.mode is DriveUnitMode.VOLTAGE
-
-
-@pytest.mark.parametrize("name", ["ig42", "omniman"])
-@pytest.mark.parametrize("before", ["voltage", "torque"])
-def test_switch_to_velocity_mode_is_bumpless(name, before):
-    rig = Rig(name)
-    if before == "voltage":
-        rig.voltage(1.5, rig.robot.motor.max_voltage * 0.25)
-    else:
-        rig.velocity(1.0, 4.0)
-        rig.torque(0.1, rig.drives.wheel_states(rig.now).effort)
-    speeds, electrical = rig.speeds(), rig.drives.electrical()
-    measured = rig.drives.wheel_states(rig.now).velocity
-    seen = rig.run(
-        0.05, lambda: rig.drives.command_velocity(measured, None, rig.now), period=0.001
-    )
-    after = rig.drives.electrical()
-    assert np.abs(seen - speeds).max() < 0.02 * np.abs(speeds).max()
-    bump = rig.robot.motor.resistance * np.abs(electrical[:, 1])
-    assert (np.abs(after[:, 0] - electrical[:, 0]) < 0.3 * bump).all()
-
-
-def test_entering_velocity_mode_ramps_to_a_distant_setpoint():
-    rig = Rig("omniman", plant__lifted=True)
-    rig.voltage(0.5, 12.0)
-    start = rig.speeds()
-    seen = rig.velocity(0.1, -4.0)
-    bound = start - 30.0 * np.arange(0.01, 0.101, 0.01)[:, None]
-    assert (seen > bound - 1.0).all()
-    rig.velocity(0.5, -4.0)
-    np.testing.assert_allclose(rig.speeds(), -4.0, atol=0.3)
-
-
-@pytest.mark.parametrize("mode", ["velocity", "voltage"])
-def test_switch_to_torque_mode_is_bumpless(mode):
-    rig = Rig("omniman")
-    rig.velocity(1.5, 4.0) if mode == "velocity" else rig.voltage(1.5, 12.0)
-    before = rig.drives.electrical()
-    effort = rig.drives.wheel_states(rig.now).effort
-    rig.drives.command_torque(effort, rig.now)
-    rig.run(0.002, period=0.001)
-    np.testing.assert_allclose(rig.drives.electrical()[:, 0], before[:, 0], atol=0.05)
 
 
 # watchdog and stop
@@ -302,66 +216,7 @@ def test_stop_is_quick_and_latched_until_a_reset_that_starts_no_motion():
     np.testing.assert_allclose(rig.speeds(), 2.0, atol=0.1)
 
 
-def test_stop_does_not_first_accelerate_towards_the_old_setpoint():
-    rig = Rig("omniman", changes={"motor__max_current": 2.0})
-    rig.velocity(0.5, 14.0)
-    speed = rig.speeds().max()
-    assert 1.0 < speed < 7.0
-    rig.drives.stop("test")
-    assert rig.run(1.0, period=0.001).max() < 1.05 * speed
-
-
-def test_stop_does_not_jump_to_a_wheel_running_ahead_of_the_setpoint():
-    rig = Rig("omniman")
-    rig.velocity(1.5, 6.0)
-    rig.velocity(0.02, 1.0)  # far below the current speed
-    voltage = rig.drives.electrical()[:, 0].max()
-    rig.drives.stop("test")
-    rig.run(0.01, period=0.001)
-    assert rig.drives.electrical()[:, 0].max() < voltage + 0.5
-
-
-def test_watchdog_takes_over_the_feed_forward_without_a_bump():
-    rig = Rig("ig42")
-    rig.velocity(2.0, 4.0, np.full(4, 0.25))
-    rig.run(0.088, period=0.001)
-    before = rig.drives.electrical()[:, 0]
-    assert not rig.drives.holding
-    rig.run(0.006, period=0.001)
-    assert rig.drives.holding
-    np.testing.assert_allclose(rig.drives.electrical()[:, 0], before, atol=0.4)
-
-
-def test_first_setpoint_after_a_rest_is_approached_by_a_ramp():
-    rig = Rig("omniman")
-    rig.velocity(1.0, 2.0)
-    rig.run(1.0)
-    assert rig.drives.holding
-    seen = rig.velocity(0.1, 5.0)
-    assert (seen <= 30.0 * np.arange(0.01, 0.101, 0.01)[:, None] + 0.3).all()
-    assert seen[-1].min() > 1.5
-
-
-def test_wheels_stand_before_the_first_command():
-    rig = Rig("omniman")
-    rig.run(1.0)
-    assert not rig.speeds().any()
-    assert not rig.drives.electrical().any()
-    np.testing.assert_array_equal(rig.drives.ground_truth()[0], 0.0)
-
-
 # time
-
-
-@pytest.mark.parametrize("start", [-3.0, 0.0, 1.7e9])
-def test_motion_does_not_depend_on_the_origin_of_time(start):
-    rig = Rig("omniman", start=start)
-    rig.velocity(1.0, 3.0)
-    pose, _ = rig.drives.ground_truth()
-    assert pose[0] == pytest.approx(0.36, abs=0.02)
-    other = Rig("omniman", start=12.5)
-    other.velocity(1.0, 3.0)
-    np.testing.assert_allclose(pose, other.drives.ground_truth()[0], atol=2e-3)
 
 
 def test_motion_does_not_depend_on_the_query_rate():
@@ -408,43 +263,6 @@ def test_equal_seeds_give_equal_runs():
 
 
 # feedback
-
-
-def test_feedback_has_the_documented_shapes_and_is_read_only():
-    rig = Rig("mecanum6")
-    states = rig.drives.wheel_states(0.1)
-    for array in (states.position, states.velocity, states.effort):
-        assert array.shape == (6,)
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1.0
-    assert rig.drives.electrical().shape == (6, 3)
-    pose, twist = rig.drives.ground_truth()
-    assert pose.shape == twist.shape == (3,)
-
-
-def test_positions_come_from_the_encoders():
-    rig = Rig("ig42")
-    rig.velocity(1.0, 5.0)
-    true = np.array([wheel.angle for wheel in rig.drives._plant.wheels])
-    counts = rig.drives.wheel_states(rig.now).position / (2 * math.pi / 480)
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
-    np.testing.assert_array_equal(np.round(counts), np.floor(true / (2 * math.pi / 480)))
-
-
-def test_energy_per_wheel_is_the_integral_of_voltage_and_current():
-    rig = Rig("ig42")
-    energy = np.zeros(4)
-
-    def meter():
-        voltage, current, _ = rig.drives.electrical().T
-        energy[:] += 0.001 * voltage * current
-
-    rig.drives.command_voltage([8.0, 6.0, 7.0, 5.0], rig.now)
-    rig.run(0.09, meter, period=0.001)
-    voltage, current, total = rig.drives.electrical().T
-    energy += 0.001 * voltage * current
-    np.testing.assert_allclose(total, energy, rtol=1e-9)
-    assert rig.drives.energy.electrical == pytest.approx(total.sum())
 
 
 def test_true_pose_can_be_set():
@@ -540,23 +358,6 @@ def test_open_motor_circuit_switches_off_only_its_drive_until_a_reset(mode, nois
     rig.velocity(1.0, 3.0)
     assert not units[1].open_circuit and units[1].voltage > 1.0
     np.testing.assert_allclose(rig.speeds(), 3.0, atol=0.2)
-
-
-def test_healthy_drives_are_never_reported_as_lost():
-    random = np.random.default_rng(5)
-    for name in ("ig42", "omniman"):
-        rig = Rig(
-            name,
-            mismatch__torque_constant=[1.1, 0.9, 1.0, 0.95],
-            mismatch__amplifier_gain=[0.95, 1.05, 1.0, 1.0],
-            mismatch__friction=[2.0, 0.5, 1.0, 1.0],
-        )
-        limit = robot(name).motor.max_voltage
-        for _ in range(30):
-            rig.voltage(0.1, random.uniform(-limit, limit, 4))
-            rig.velocity(0.2, random.uniform(-6.0, 6.0))
-            rig.torque(0.1, random.uniform(-2.0, 2.0))
-            assert rig.drives.stop_reason is None
 
 
 def test_current_noise_is_measured_but_does_not_change_the_energy_meter():

@@ -116,17 +116,6 @@ def test_data_arrive_once_per_cycle(rig):
     assert [b - a for a, b in pairwise(times)] == pytest.approx([CYCLE] * 4)
 
 
-def test_several_clients_are_served(rig):
-    clients = [rig.stream() for _ in range(3)]
-    for each in clients:
-        assert rig.hear(each, DATA)
-    assert rig.ports.clients["rtde"] == 3
-    clients.pop().close()
-    for _ in range(200):
-        rig.cycle()
-    assert rig.ports.clients["rtde"] == 2
-
-
 def test_client_that_sends_garbage_is_closed_and_others_stay(rig):
     good, bad = rig.stream(), rig.connect("rtde")
     bad.sendall(b"GET / HTTP/1.1\r\n\r\n")
@@ -239,32 +228,6 @@ def test_program_reads_one_message_per_step_and_the_rest_stays_in_the_kernel(rig
     assert rig.controller.runtime is RuntimeState.STOPPED  # the read timed out in the end
 
 
-@pytest.mark.parametrize("cut", range(1, 8))
-def test_message_may_arrive_in_two_pieces(rig, reverse, cut):
-    message = struct.pack(">ii", 77, 0)
-    reverse.sendall(message[:cut])
-    rig.cycle()
-    reverse.sendall(message[cut:])
-    rig.cycle(2)
-    assert rig.controller.output("output_int_register_0") == 77
-
-
-def test_silence_times_a_read_out_after_its_timeout_and_not_before(rig, reverse):
-    reverse.sendall(struct.pack(">ii", 1, 0))
-    while rig.controller.output("output_int_register_0") != 1:
-        rig.cycle()
-    rig.cycle(2)
-    assert rig.controller.runtime is RuntimeState.PLAYING
-    rig.cycle(3)
-    assert rig.controller.runtime is RuntimeState.STOPPED
-
-
-def test_end_of_the_connection_ends_the_read(rig, reverse):
-    reverse.close()
-    rig.cycle(3)
-    assert rig.controller.runtime is RuntimeState.STOPPED
-
-
 # ---- faults -----------------------------------------------------------------------------------
 
 
@@ -320,29 +283,6 @@ def test_packages_are_split_at_any_byte(rig, cut):
     assert rig.waits(client) is None
     rig.cycle()
     assert len(rig.hear(client, DATA)) == DATA
-
-
-def test_packages_are_sent_together(rig):
-    client = rig.stream()
-    rig.faults(coalesce=4)
-    rig.cycle(4)
-    rig.waits(client)
-    came = []
-    for _ in range(8):
-        rig.cycle()
-        came.append(len(rig.waits(client) or b""))
-    assert sorted(came) == [0] * 6 + [4 * DATA] * 2
-
-
-def test_rtde_faults_reach_its_clients(rig):
-    client = rig.connect("rtde")
-    rig.faults(outputs_not_found=("timestamp",))
-    rig.say(client, HELLO + SETUP)
-    assert rig.hear(client, 4 + 13).endswith(b"\x00NOT_FOUND")
-    other = rig.connect("rtde")
-    rig.faults(refuse_rtde_version=True)
-    rig.say(other, HELLO)
-    assert rig.hear(other, 4) == b"\x00\x04V\x00"
 
 
 def test_occupied_port_is_reported():

@@ -77,10 +77,6 @@ class Plaza:
         return math.inf
 
 
-BOX = ([(-0.5, -0.3), (0.5, -0.3), (0.5, 0.3), (-0.5, 0.3)], 0.0)
-CORRIDOR = [([(-9.0, y), (9.0, y)], 0.05) for y in (-1.5, 1.5)]
-
-
 def violation(velocity, planes):
     return max(least - nx * velocity[0] - ny * velocity[1] for nx, ny, least in planes)
 
@@ -194,20 +190,6 @@ def test_who_is_too_near_moves_apart():
 # walks
 
 
-@pytest.mark.parametrize(
-    ("starts", "goals"),
-    [
-        ([(-3, 0), (3, 0)], [(3, 0), (-3, 0)]),
-        ([(-3, 0), (0, -3)], [(3, 0), (0, 3)]),
-        ([(-3, 0), (-1, 0)], [(3, 0), (4, 0)]),
-    ],
-)
-def test_two_whose_ways_meet_pass_each_other(starts, goals):
-    plaza = Plaza(starts, goals)
-    assert plaza.run(10.0) < 7.0
-    assert plaza.least > 0.9 * CLEARANCE
-
-
 def test_who_meet_head_on_pass_on_the_right():
     plaza = Plaza([(-3, 0), (3, 0)], [(3, 0), (-3, 0)])
     for _ in range(round(3.0 / PERIOD)):
@@ -241,16 +223,3 @@ def test_random_crossings_end_without_a_touch(seed):
     plaza = Plaza(scattered(random, 6), scattered(random, 6))
     assert plaza.run(30.0) < 20.0
     assert plaza.least > 0.9 * CLEARANCE
-
-
-def test_two_pass_a_box_in_a_corridor_from_both_sides():
-    plaza = Plaza([(-3, 0), (3, 0)], [(3, 0), (-3, 0)], [*CORRIDOR, BOX])
-    assert plaza.run(15.0) < 8.0
-    assert plaza.least > 0.9 * CLEARANCE
-
-
-def test_who_comes_to_a_wall_stops_before_it():
-    plaza = Plaza([(-3, 0)], [(3, 0)], [([(0, -5), (0, 5)], 0.0)])
-    assert plaza.run(10.0) == math.inf
-    assert -0.5 < plaza.places[0, 0] <= -RADIUS - CLEARANCE + 1e-6
-    np.testing.assert_allclose(plaza.rates, 0.0, atol=0.03)

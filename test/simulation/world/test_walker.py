@@ -35,13 +35,6 @@ def test_a_person_walks_from_point_to_point_and_back():
     assert speeds.max() < 1.3
 
 
-def test_a_person_at_a_single_point_stands():
-    anna = Person(name="anna", x=(2.0,), y=(1.0,))
-    np.testing.assert_allclose(
-        walk(ideal("ig42", Scene(persons=(anna,))), 1.0), [[2.0, 1.0]] * 100, atol=1e-6
-    )
-
-
 def test_a_person_who_is_held_up_waits_and_then_goes_on():
     anna = Person(name="anna", x=(2.0, 6.0), y=(0.0, 0.0), speed=1.0)
     wall = Wall(name="wall", x=(4.0, 4.0), y=(-1.0, 1.0))
@@ -154,12 +147,3 @@ def test_a_reactive_person_before_a_wall_waits():
     places = walk(ideal("ig42", Scene(persons=(anna,), walls=(wall,))), 5.0)
     assert places[:, 0].max() < 4.0 - 0.05 - 0.25 - 0.1
     np.testing.assert_allclose(places[-1], places[-50], atol=0.02)
-
-
-def test_the_same_scene_gives_the_same_ways():
-    persons = (
-        reactive("anna", (-2.0, 2.0), (3.0, 3.0)),
-        reactive("ben", (2.0, -2.0), (3.0, 3.0)),
-    )
-    first, second = (walk(ideal("ig42", Scene(persons=persons)), 1.5) for _ in range(2))
-    np.testing.assert_array_equal(first, second)

@@ -48,14 +48,6 @@ def test_a_load_on_the_platform_weighs_on_the_wheels_below_it():
         assert added @ np.array(values) == pytest.approx(10.0 * GRAVITY * place, rel=0.02)
 
 
-def test_the_tyre_sinks_by_load_over_stiffness():
-    soft, hard = (ideal("ig42", world__tyre_stiffness=k) for k in (1e5, 1e6))
-    for bench, stiffness in ((soft, 1e5), (hard, 1e6)):
-        bench.wait(1.0)
-        sink = -bench.world.base_frame[0][2]
-        assert sink == pytest.approx(25.0 * GRAVITY / 4 / stiffness, rel=0.02)
-
-
 def steady(bench, twist):
     """Return electrical power [W] and twist over the last of three seconds."""
     bench.drive(twist, 2.0)

@@ -37,12 +37,6 @@ def test_a_robot_at_rest_stays_where_it_is(make):
     np.testing.assert_allclose(bench.world.twist, 0.0, atol=1e-4)
 
 
-def test_the_heading_is_not_wrapped():
-    bench = ideal("omni3")
-    bench.drive((0.0, 0.0, 2.0), 4.5)
-    assert 7.0 < bench.world.pose[2] < 9.2
-
-
 def test_set_pose_turns_the_motion_with_the_robot():
     bench = ideal("ig42")
     bench.drive((0.3, 0.0, 0.0), 1.5)

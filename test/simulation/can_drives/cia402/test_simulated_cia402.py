@@ -1,16 +1,13 @@
 """The simulated CiA 402 drive against CiA 301 and CiA 402-2."""
 
-import ast
 import math
 import struct
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import can
 import pytest
 
-import omniman_ros.simulation.can_drives
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.cia402.drive import Cia402Settings
 from omniman_ros.simulation.can_drives.motor import DriveFaults
@@ -1108,38 +1105,3 @@ def test_arbitrary_frames_are_tolerated():
         rig.run(0.001)
     rig.nmt(129)
     assert rig.run(0.1)[0] == (0x705, b"\x00")
-
-
-SOURCES = sorted(Path(omniman_ros.simulation.can_drives.__file__).parent.rglob("*.py"))
-
-
-@pytest.mark.parametrize("path", SOURCES, ids=lambda path: f"{path.parent.name}.{path.stem}")
-def test_simulated_side_imports_nothing_of_the_bridge(path):
-    names = [
-        name
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        for name in (
-            [alias.name for alias in node.names]
-            if isinstance(node, ast.Import)
-            else [f"{node.module}.{alias.name}" for alias in node.names]
-            if isinstance(node, ast.ImportFrom)
-            else []
-        )
-    ]
-    assert not [name for name in names if name.startswith("omniman_ros.can_drives")]
-    allowed = {
-        "abc",
-        "omniman_ros",
-        "can",
-        "canopen",
-        "numpy",
-        "math",
-        "struct",
-        "random",
-        "typing",
-        "dataclasses",
-        "enum",
-        "collections",
-        "itertools",
-    }
-    assert {name.split(".")[0] for name in names} <= allowed

@@ -6,7 +6,6 @@ import pytest
 from test.simulation.ur.urscript.scripted_host import Bench, fault_of, ran
 
 OPEN = 'socket_open("10.0.0.2", 50001, "s")\n'
-READ = OPEN + 'a = socket_read_binary_integer(2, "s", {timeout})\ntextmsg(a)'
 PAIR = struct.pack(">2i", -5, 2**31 - 1)
 
 
