@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 
 from omniman_ros.console.session import Session
-from omniman_ros.planning.cases import CASES
-from omniman_ros.viewer.floor_shapes import marker
 from test import robots
 from test.running import PATIENCE, Running, command, environment
 from test.viewer.browser import Mouse, Robot, draw_slowly
@@ -217,16 +215,6 @@ def leads_to(plan, place):
     return len(plan) > 0 and math.dist(plan[-1, :2], place) < HAND
 
 
-def dismiss_notices(page):
-    """Close viser's notices about a page without a graphics card."""
-    for closing in page.locator(".mantine-Notification-closeButton").all():
-        closing.click()
-
-
-def open_tab(page, name):
-    page.get_by_role("tab", name=name, exact=True).click()
-
-
 def go_until(page, robot, until, what):
     """Wait while the robot drives to its goal; on a stalling machine the planner may
     abandon the goal, and a person would send the goal again."""
@@ -342,126 +330,6 @@ def test_robot_drives_to_a_dragged_goal(page, robot, camera):
     go_to_a_dragged_goal(page, robot, camera)
 
 
-@pytest.mark.exhaustive
-def test_the_knob_of_a_goal_turns_the_robot(page, robot, camera):
-    mouse = go_to_a_dragged_goal(page, robot, camera)
-    wait_until_shown(page, robot)
-    x, y, heading = robot.goals[-1]
-    tip = marker(BODY).tip
-    mouse.drag(
-        (x + tip * math.cos(heading), y + tip * math.sin(heading), 0.06),
-        (x - tip * math.sin(heading), y + tip * math.cos(heading), 0.06),
-    )
-    turned = heading + 0.5 * math.pi
-    robot.wait(lambda: abs(robot.goals[-1][2] - turned) < 0.15, "the goal turned")
-    assert robot.goals[-1][:2] == pytest.approx((x, y), abs=1e-6)
-    go_until(page, robot, lambda: abs(robot.pose[2] - turned) < 0.2, "turn")
-    wait_for_rest(robot)
-
-
-@pytest.mark.exhaustive
-def test_obstacle_can_be_added_dragged_and_deleted(page, robot, camera):
-    open_tab(page, "Obstacles")
-    button(page, "Add").click()
-    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
-    page.get_by_text("Obstacle 1 of 1").wait_for()
-    wait_until_shown(page, robot)
-    ((number, place),) = robot.placed.items()
-    to = robot.ahead(1.7, -0.5)
-    Mouse(page, robot, camera).drag((*place, 0.3), (*to, 0.3))
-    robot.wait(
-        lambda: robot.placed and math.dist(robot.placed[number], to) < HAND, "the obstacle there"
-    )
-    button(page, "Delete").click()
-    robot.wait(lambda: not robot.placed, "no obstacle")
-    open_tab(page, "Task")
-
-
-@pytest.mark.exhaustive
-def test_obstacle_follows_way_points_of_mouse_and_keyboard(page, robot, camera):
-    open_tab(page, "Obstacles")
-    button(page, "Add").click()
-    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
-    ((number, start),) = robot.placed.items()
-    button(page, "Way points").click()
-    button(page, "Done").wait_for()
-    wait_until_shown(page, robot)
-    clicked = robot.ahead(2.0, -0.6)
-    page.mouse.click(*Mouse(page, robot, camera).pixel(*clicked, 0.0))
-    page.get_by_text("Point 2 of 2").wait_for()
-    button(page, "Add point").press("Enter")
-    page.get_by_text("Point 3 of 3").wait_for()
-    button(page, "Delete point").press("Enter")
-    page.get_by_text("Point 2 of 2").wait_for()
-    button(page, "Done").press("Enter")
-    button(page, "Click floor").wait_for()
-    robot.wait(lambda: math.dist(robot.placed[number], clicked) < HAND, "the end of its path")
-    robot.wait(lambda: math.dist(robot.placed[number], start) < HAND, "its return")
-    button(page, "Delete").click()
-    robot.wait(lambda: not robot.placed, "no obstacle")
-    open_tab(page, "Task")
-
-
-@pytest.mark.exhaustive
-def test_pictures_of_a_page_with_the_resolution_of_a_users(page, open_page, robot):
-    """The pictures are left in results/; without a graphics card, each takes half a minute."""
-    case = CASES["moving"].fitting(BODY.length, BODY.width)
-    fine = open_page("")
-    dismiss_notices(fine)
-    button(page, "Moving").click()
-    robot.wait(lambda: math.dist(robot.pose[:2], case.start[:2]) < 0.05, "the robot at the start")
-    button(page, "Go").click()
-    go_until(page, robot, lambda: robot.x > case.start[0] + 1.0, "robot on its way")
-    fine.screenshot(path=RESULTS / "viewer.png")
-    open_tab(fine, "Planner")
-    fine.get_by_label("position weight").first.wait_for()
-    fine.screenshot(path=RESULTS / "viewer_planner.png")
-    fine.close()
-    button(page, "Cancel").click()
-    wait_for_rest(robot)
-
-
-@pytest.mark.exhaustive
-def test_case_waits_for_go_and_can_be_paused_and_resumed(page, robot):
-    case = CASES["moving"].fitting(BODY.length, BODY.width)
-    sent = len(robot.goals)
-    button(page, "Moving").click()
-    robot.wait(lambda: len(robot.placed) == len(case.ways), "the obstacles of the case")
-    robot.wait(lambda: math.dist(robot.pose[:2], case.start[:2]) < 0.05, "the robot at the start")
-    robot.session.spin(0.5)
-    assert len(robot.goals) == sent, "the case waits"
-    assert sorted(robot.placed.values()) == pytest.approx(
-        [pytest.approx(way.place) for way in sorted(case.ways, key=lambda way: way.place)]
-    )
-    began = dict(robot.placed)
-    button(page, "Go").click()
-    robot.wait(lambda: robot.goals[sent:] == [pytest.approx(case.goal)], "the goal of the case")
-    go_until(
-        page,
-        robot,
-        lambda: robot.x > case.start[0] + 1.0 and robot.placed != began,
-        "robot and obstacles on their way",
-    )
-    button(page, "Pause").click()
-    robot.wait(lambda: robot.planner == "paused", "the planner paused")
-    wait_for_rest(robot)
-    robot.await_markers()  # those from before the pause may come late
-    at, placed = robot.x, dict(robot.placed)
-    robot.await_markers()
-    assert robot.x == pytest.approx(at, abs=0.005)
-    assert robot.placed == placed
-    button(page, "Resume").click()
-    go_until(
-        page,
-        robot,
-        lambda: robot.x > at + 0.3 and robot.placed != placed,
-        "robot and obstacles that go on",
-    )
-    button(page, "Cancel").click()
-    robot.wait(lambda: robot.planner != "driving", "the planner at its end")
-    wait_for_rest(robot)
-
-
 def test_plots_and_scene_change_while_driving(page, robot):
     """Plot and scene after driving differ from those before."""
     plot, scene = page.locator(".uplot canvas").first, page.locator("canvas[data-engine]")
@@ -471,55 +339,3 @@ def test_plots_and_scene_change_while_driving(page, robot):
     wait_for_rest(robot)
     assert plot.screenshot() != before[0]
     assert scene.screenshot() != before[1]
-
-
-@pytest.mark.exhaustive
-def test_each_step_of_the_tour_does_what_it_says(page, robot, camera):
-    """The page's own words lead through the tour; each step is seen to have its effect."""
-    dismiss_notices(page)
-    step = page.get_by_text(re.compile(r"\d of 6: "))
-
-    def awaits(number):
-        page.get_by_text(re.compile(f"{number} of 6: ")).wait_for()
-
-    def toggle():
-        open_tab(page, "View")
-        button(page, "Tour: end, or begin anew").click()
-        open_tab(page, "Task")
-
-    if step.count():
-        toggle()
-        step.wait_for(state="hidden")
-    toggle()
-    awaits(1)
-    drive(page, robot, "Forward")
-    page.mouse.up()
-    awaits(2)
-    button(page, "Stop").click()
-    page.get_by_text(re.compile("platform_controller stopped: ~/stop")).wait_for()
-    awaits(3)
-    button(page, "Reset").click()
-    page.get_by_text(re.compile("driven by none")).wait_for()
-    mouse = go_to_a_dragged_goal(page, robot, camera)
-    awaits(4)
-    open_tab(page, "Obstacles")
-    button(page, "Add").click()
-    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
-    awaits(5)
-    wait_until_shown(page, robot)
-    ((number, place),) = robot.placed.items()
-    tip = markers.ARROW_HEIGHT
-    x, y = robot.ahead(1.2, 0.6)
-    mouse.drag((*place, tip), (x, y, tip))
-    robot.wait(lambda: math.dist(robot.placed[number], place) > MOVED, "an obstacle that moves")
-    awaits(6)
-    page.screenshot(path=RESULTS / "viewer_tour.png")
-    open_tab(page, "Task")
-    button(page, "Moving").click()
-    case = CASES["moving"].fitting(BODY.length, BODY.width)
-    robot.wait(lambda: math.dist(robot.pose[:2], case.start[:2]) < 0.05, "the robot at the start")
-    button(page, "Go").click()
-    step.wait_for(state="hidden")
-    go_until(page, robot, lambda: robot.x > case.start[0] + 0.5, "robot on its way")
-    button(page, "Cancel").click()
-    wait_for_rest(robot)

@@ -6,7 +6,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry, Path
-from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
@@ -31,8 +30,6 @@ class Robot:
         goals: All of `goal_pose`, as (x, y, heading).
         plan: The last `mpc/plan`, (k, 3).
         planner: State of the planner.
-        placed: The page's obstacles, number to (x, y).
-        marker_count: Number of messages that the obstacles came with.
         at_rest: Whether the robot has been standing for `REST_TIME`.
     """
 
@@ -43,14 +40,12 @@ class Robot:
         self.twists, self.goals = [], []
         self.plan = np.empty((0, 3))
         self.planner = ""
-        self.placed, self.marker_count = {}, 0
         listen = session.node.create_subscription
         listen(Odometry, "odom", self._on_odom, 1)
         listen(Twist, "cmd_vel", self.twists.append, 10)
         listen(PoseStamped, "goal_pose", self._on_goal, 10)
         listen(Path, "mpc/plan", self._on_plan, 1)
         listen(DiagnosticStatus, "mpc/status", self._on_status, 1)
-        listen(MarkerArray, "obstacles", self._on_obstacles, 50)
 
     def _on_odom(self, message):
         self.odom = message
@@ -71,22 +66,6 @@ class Robot:
 
     def _on_status(self, message):
         self.planner = {item.key: item.value for item in message.values}["state"]
-
-    def _on_obstacles(self, message):
-        self.marker_count += 1
-        for marker in message.markers:
-            if marker.action == Marker.ADD:
-                place = marker.pose.position
-                self.placed[marker.id] = place.x, place.y
-            elif marker.action == Marker.DELETE:
-                self.placed.pop(marker.id, None)
-            else:
-                self.placed.clear()
-
-    def await_markers(self, count=5):
-        """Receive some further messages of the page's obstacles."""
-        wanted = self.marker_count + count
-        self.wait(lambda: self.marker_count >= wanted, "the obstacles' messages")
 
     @property
     def x(self):

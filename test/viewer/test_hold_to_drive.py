@@ -20,12 +20,6 @@ def test_a_held_button_requests_its_motion(hold, motion):
     assert hold.twist(10.1, *SPEEDS) == (0.4 * x, 0.4 * y, 0.8 * turn)
 
 
-def test_every_motion_has_its_opposite():
-    assert {tuple(-axis + 0.0 for axis in motion) for motion in MOTIONS.values()} == set(
-        MOTIONS.values()
-    )
-
-
 def test_no_motion_is_requested_before_and_after_holding(hold):
     assert hold.twist(10.0, *SPEEDS) is None
     hold.update(ButtonHeld(1, "forward"), 10.0)
@@ -39,11 +33,6 @@ def test_a_silent_page_releases_its_buttons(hold):
     assert hold.twist(10.45 + 0.9 * DEAD_MAN_TIMEOUT, *SPEEDS) is not None
     assert hold.twist(10.45 + 1.01 * DEAD_MAN_TIMEOUT, *SPEEDS) is None
     assert hold.twist(10.45, *SPEEDS) is None, "and stays released"
-
-
-def test_the_dead_man_switch_stops_the_robot_in_time():
-    """The robot stops within 0.3 s, which includes two periods of the node."""
-    assert DEAD_MAN_TIMEOUT + 2 * 0.05 <= 0.3 + 1e-9
 
 
 def test_a_disconnected_page_releases_all_its_buttons(hold):

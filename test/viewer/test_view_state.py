@@ -79,20 +79,6 @@ def test_a_plan_that_is_not_repeated_is_discarded():
     assert len(state.plan.points) == 0
 
 
-def test_every_plot_has_a_column_for_each_of_its_curves():
-    state = ViewState(3, 2)
-    state.sample(10.0)
-    counts = {name: len(window.columns(10.0)) - 1 for name, window in state.windows.items()}
-    assert counts == {
-        "speeds": 6,
-        "coupling": 2,
-        "voltages": 3,
-        "energy": 1,
-        "solving": 2,
-        "sending": 2,
-    }
-
-
 @pytest.mark.parametrize("name", ["coupling", "voltages", "energy", "solving", "sending"])
 def test_a_value_is_plotted_while_it_is_fresh(name):
     state = ViewState(3, 1)
@@ -101,15 +87,6 @@ def test_a_value_is_plotted_while_it_is_fresh(name):
     state.sample(10.0 + FRESHNESS_TIMEOUT)
     _, first, *_ = state.windows[name].columns(11.0)
     assert first[0] == 1.0 and np.isnan(first[1])
-
-
-def test_predicted_obstacles_that_are_not_repeated_are_discarded():
-    state = ViewState(4, 1)
-    state.update_predicted(np.ones((3, 2)), 10.0)
-    state.sample(10.5)
-    assert len(state.predicted.points) == 3
-    state.sample(11.5)
-    assert len(state.predicted.points) == 0
 
 
 def test_a_received_value_is_fresh_for_a_second():

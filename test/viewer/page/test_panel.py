@@ -28,7 +28,7 @@ from omniman_ros.viewer.obstacle_paths import AtEnd, Motion, WaypointPath
 from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.page import free_port
 from omniman_ros.viewer.page.panel import HEARTBEAT, Controls
-from omniman_ros.viewer.page.parameter_panel import label, step
+from omniman_ros.viewer.page.parameter_panel import step
 from omniman_ros.viewer.placed_obstacles import PlacedObstacles
 from omniman_ros.viewer.view_state import TunableParameter, ViewState
 
@@ -404,11 +404,6 @@ def test_no_numbers_are_sent_to_a_missing_planner(tuned):
     tuned.state.planner_parameters = {}
     tuned.draw(2.0)
     assert tuned.handle("clearance").disabled
-
-
-def test_a_parameter_is_displayed_with_a_readable_name():
-    assert label("weights.position") == "position weight"
-    assert label("safety.least_clearance") == "least clearance"
 
 
 @pytest.mark.parametrize(

@@ -111,26 +111,6 @@ def test_a_planner_learns_the_velocity_of_an_obstacle(town):
     assert town.around.centers[0] == pytest.approx(centre, abs=0.03)
 
 
-def test_a_planner_learns_the_velocity_of_an_obstacle_on_way_points_after_its_turn(town):
-    (number,) = town.add((2.0, 0.0))
-    post(town.world, ObstacleMotionSet(number, Motion.WAYPOINTS))
-    post(town.world, WaypointAdded(number, (2.5, 0.0)), WaypointAdded(number, (2.5, 3.0)))
-    town.world.run(2.5)
-    assert town.around.velocities[0] == pytest.approx([0.0, 0.5], abs=0.03)
-    centre = town.state.obstacles.centers[0]
-    assert centre[0] == 2.5 and 0.5 < centre[1] < 1.5
-    assert town.around.centers[0] == pytest.approx(centre, abs=0.03)
-
-
-def test_a_planner_learns_the_velocity_after_a_turn_at_its_time(town):
-    (number,) = town.add((2.0, 0.0))
-    path = TwoVelocityPath((2.0, 0.0), (0.3, 0.0), 1.5, (0.0, 0.6))
-    post(town.world, ObstaclePathSet(number, path), seconds=1.4)
-    assert town.around.velocities[0] == pytest.approx([0.3, 0.0], abs=0.03)
-    town.world.run(1.5)
-    assert town.around.velocities[0] == pytest.approx([0.0, 0.6], abs=0.05)
-
-
 def test_a_click_that_selects_another_obstacle_adds_no_way_point(town):
     first, second = town.add((2.0, 0.0), (3.0, 0.0))
     post(town.world, ObstacleMotionSet(first, Motion.WAYPOINTS))
@@ -179,13 +159,6 @@ def test_the_end_of_the_node_deletes_its_obstacles(town):
     assert [p.topic_name for p in town.node.final_publishers] == ["/obstacles"]
 
 
-def test_the_obstacles_of_a_killed_node_expire(town):
-    town.add((2.0, 1.0))
-    town.node._obstacles.publish = lambda now: None
-    town.world.run(1.2)
-    assert len(town.around) == 0
-
-
 def test_obstacles_restart_when_simulated_time_goes_back(town):
     (number,) = town.add((2.0, 1.0))
     post(town.world, ObstacleVelocitySet(number, (0.5, 0.0)), seconds=1.0)
@@ -194,13 +167,6 @@ def test_obstacles_restart_when_simulated_time_goes_back(town):
     town.world.run(1.0)
     assert len(town.messages) >= 8
     assert town.state.obstacles.centers[0] == pytest.approx([2.5, 1.0], abs=0.1)
-
-
-def test_own_obstacles_are_not_displayed_as_those_of_others(town):
-    town.add((2.0, 1.0))
-    town.world.run(0.5)
-    assert len(town.state.obstacles.numbers) == 1
-    assert len(town.state.other_obstacles) == 0
 
 
 def test_a_second_viewer_displays_the_obstacles_of_the_first_apart_from_its_own():
@@ -278,11 +244,3 @@ def test_an_invalid_event_is_refused_and_changes_nothing(town, bad):
     assert after.semi_axes.tolist() == before.semi_axes.tolist()
     assert not after.velocities.any()
     assert town.around.centers[0] == pytest.approx([2.0, 1.0])
-
-
-def test_more_than_a_hundred_obstacles_are_refused(town):
-    for _ in range(101):
-        town.node.page.post(ButtonPressed("add"))
-    town.world.run(0.1)
-    assert len(town.state.obstacles.numbers) == 100
-    assert "100 obstacles" in town.state.note

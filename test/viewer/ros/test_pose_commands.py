@@ -151,12 +151,6 @@ def test_the_echo_of_a_goal_does_not_move_the_dragged_goal(field):
     assert field.state.goal == (2.0, 0.0, 0.0)
 
 
-def test_of_several_goals_the_last_wins(field):
-    post(field.world, *(GoalDragged((x, 0.0, 0.0), True) for x in (1.0, 2.0, 3.0)))
-    assert field.goals[-1] == pytest.approx((3.0, 0.0, 0.0))
-    assert field.state.goal == (3.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize(
     "pose", [(NAN, 0.0, 0.0), (0.0, -2e6, 0.0), (0.0, 0.0, math.inf), (0.0, 0.0, 1e9)]
 )
@@ -339,27 +333,6 @@ def test_a_robot_at_rest_is_not_relocated_before_the_planner_has_answered(field)
     until(world, lambda: services.called == ["cancel"] and field.placed, "the placing")
 
 
-def test_a_robot_that_does_not_come_to_rest_is_not_relocated(field):
-    post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
-    field.speed = 0.3
-    field.world.run(0.1)
-    press(field.world, "restart", 3.5)
-    assert field.state.note == "the robot is not at the start: the robot does not come to rest"
-    field.speed = 0.0
-    field.world.run(1.0)
-    assert field.placed == []
-
-
-def test_odometry_that_does_not_follow_is_reported_and_no_goal_is_sent(field):
-    post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
-    field.pose, field.follows = (3.0, 0.0, 0.0), False
-    field.world.run(0.1)
-    press(field.world, "restart", 0.1)
-    press(field.world, "go", 2.5)
-    assert field.state.note == "the robot is not at the start: odometry does not follow"
-    assert len(field.goals) == 1
-
-
 def test_go_during_a_restart_takes_effect_at_the_start(field):
     post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
     field.pose, field.speed = (3.0, 0.0, 0.0), 0.3
@@ -449,26 +422,3 @@ def test_the_planner_accepts_successive_dragged_goals(robot):
     until(robot, lambda: len(state.plan.points) > 1, "the plan")
     post(robot, GoalDragged((0.5, 0.5, 0.0), False), seconds=0.3)
     assert planner.core.goal.pose[:2] == pytest.approx([0.5, 0.5])
-
-
-@pytest.mark.exhaustive
-def test_a_case_loaded_during_a_drive_is_driven(robot):
-    planner, _, plant, viewer = robot.nodes
-    case = scaled_case("free")
-    post(robot, GoalDragged((1.0, 0.0, 0.0), True), seconds=0.5)
-    assert planner.core.active
-    post(robot, CaseSelected("free"))
-    until(robot, lambda: not viewer._poses._relocator.active, "the relocation")
-    truth, _ = plant.drives.ground_truth()
-    assert truth[:2] == pytest.approx(case.start[:2], abs=0.01)
-    assert truth[2] == pytest.approx(case.start[2], abs=0.01)
-    assert viewer.state.odom == pytest.approx(case.start, abs=0.01)
-    assert planner.core.state is PlannerState.IDLE
-    press(robot, "go", 1.0)
-    assert planner.core.state is PlannerState.DRIVING
-    assert planner.core.goal.pose == pytest.approx(case.goal)
-    assert viewer.state.odom[0] > 0.05
-    press(robot, "pause", 0.3)
-    until(robot, lambda: planner.core.state is PlannerState.PAUSED, "the pause")
-    press(robot, "cancel", 0.3)
-    until(robot, lambda: planner.core.state is PlannerState.IDLE, "the end")

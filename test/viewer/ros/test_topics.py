@@ -14,13 +14,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.wheels import electrical_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
-from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.viewer.node import ViewerNode
 from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT
 from test.nodes.harness import World
 from test.nodes.rig import reference
-from test.viewer.ros.fake_page import FakePage, until, view
+from test.viewer.ros.fake_page import FakePage, view
 
 NAMES = ["front_left", "front_right", "rear_left", "rear_right"]
 
@@ -168,13 +167,6 @@ def test_a_path_in_another_frame_is_not_drawn(world):
     assert "'elsewhere'" in world.nodes[0].state.unplaced["path"]
 
 
-def test_the_plan_is_drawn_and_removed_when_it_ends(world):
-    world.publisher(Path, "mpc/plan").publish(path(5))
-    line = world.nodes[0].state.plan
-    world.run_until(lambda: len(line.points) == 5, 1.0, "the plan")
-    world.run_until(lambda: len(line.points) == 0, 2.0, "its end")
-
-
 def marker(**changes):
     result = Marker(type=Marker.CYLINDER, **changes)
     result.header.frame_id = "odom"
@@ -315,22 +307,6 @@ def test_a_restarted_energy_counter_continues_the_displayed_energy(world):
         meters.publish(electrical(*[(24.0, 1.0, energy)] * 4))
         world.run(0.1)
     assert latest(world, "energy") == [44.0]
-
-
-def test_other_columns_are_not_interpreted_as_voltages(world):
-    bad = electrical(*[(24.0, 1.0, 0.0)] * 4)
-    bad.layout.dim[1].label = "current,voltage,energy"
-    world.publisher(Float64MultiArray, "wheel_electrical").publish(bad)
-    world.run(0.2)
-    assert "wheel_electrical" in world.nodes[0]._throttle.counts
-    assert np.isnan(latest(world, "voltages")).all()
-
-
-def test_measurements_of_a_simulated_drive_are_accepted():
-    with view(SimulatedDriveNode) as world:
-        state = world.nodes[-1].state
-        until(world, lambda: state.is_fresh("voltages", world.time), "volts")
-        assert "wheel_electrical" not in world.nodes[-1]._throttle.counts
 
 
 def arm_state(angles, names=UR_JOINTS):

@@ -105,21 +105,6 @@ def test_buttons_held_before_time_went_back_do_not_drive(world):
     assert components(twists)[-1] == (0.0, 0.0, 0.0)
 
 
-def test_values_received_before_time_went_back_are_not_fresh(world):
-    state = world.nodes[0].state
-    state.update_truth((0.0, 0.0, 0.0), world.nodes[0].now())
-    world.run(0.2)
-    world.time -= 500.0
-    world.run(0.2)
-    assert not state.is_fresh("truth", world.nodes[0].now())
-
-
-def test_without_a_button_nothing_is_sent(world):
-    twists = world.listen(Twist, "cmd_vel")
-    world.run(2.0)
-    assert twists == []
-
-
 def test_a_stamped_controller_gets_stamped_twists():
     with view(parameters={"cmd_vel_stamped": True}) as world:
         twists = world.listen(TwistStamped, "cmd_vel")
