@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-from omniman_ros.cli.main import COMMANDS, main, make_parser
+from omniman_ros.cli.main import COMMANDS, main
 from omniman_ros.nodes.registry import NODES
 from omniman_ros.processes import robot_setup
 from test.running import command
@@ -106,8 +106,3 @@ def test_teleop_without_a_terminal_is_refused():
 
 def test_up_can_start_every_node_of_the_package():
     assert {kind.name for kind in robot_setup.ROBOT_NODES} == set(NODES)
-
-
-def test_defaults_are_those_of_the_nodes():
-    args = make_parser().parse_args(["up"])
-    assert args.robot == "omniman"

@@ -13,8 +13,6 @@ from omniman_ros.cli.teleop_keys import (
     split_keys,
 )
 
-TICK = 0.05
-
 
 @pytest.fixture
 def keys():
@@ -78,10 +76,6 @@ def test_every_key_drives_its_direction_at_the_set_speed(keys, key):
     assert [math.copysign(1, v) if v else 0 for v in (x, y, turn)] == list(direction)
     assert math.hypot(x, y) == pytest.approx(0.3 if direction[0] or direction[1] else 0.0)
     assert abs(turn) == pytest.approx(0.6 if direction[2] else 0.0)
-
-
-def test_every_motion_has_its_opposite():
-    assert {tuple(-v for v in motion) for motion in MOTIONS.values()} == set(MOTIONS.values())
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
 import json
-import signal
 from dataclasses import replace
 
 import numpy as np
@@ -29,11 +28,8 @@ from test.identification.floor.prescribed import prescribed_drive
 from test.running import (
     PATIENCE,
     Running,
-    children_of,
     command,
     environment,
-    is_alive,
-    wait_until,
 )
 from test.tiers import exhaustive
 
@@ -231,17 +227,3 @@ def test_the_command_identifies_a_simulated_robot(tmp_path):
     mass = written["estimates"]["mass"]
     assert mass["value"] == pytest.approx(mass["truth"], rel=0.05)
     assert (tmp_path / "floor.yaml").exists()
-
-
-@pytest.mark.exhaustive
-@pytest.mark.processes
-def test_ctrl_c_stops_the_robot_and_keeps_nothing_of_half_a_drive(tmp_path):
-    arguments = ("identify", "floor", "--simulate", "--results", str(tmp_path))
-    with Running(command(*arguments), environment()) as running:
-        running.wait_for("the robot is running")
-        pids = children_of(running.process.pid)
-        assert len(pids) == 2
-        running.process.send_signal(signal.SIGINT)
-        assert running.process.wait(timeout=PATIENCE) == 130
-        wait_until(lambda: not any(map(is_alive, pids)), "the end of the nodes")
-    assert not list(tmp_path.iterdir()), "no drive was completed, so none is kept"

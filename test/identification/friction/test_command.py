@@ -1,15 +1,12 @@
 import json
-import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from sensor_msgs.msg import JointState
 
 from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
-from omniman_ros.console.session import Session
 from omniman_ros.core.parameters import build, flatten_mapping
 from omniman_ros.core.robot import Friction
 from omniman_ros.identification.friction.command import (
@@ -25,15 +22,6 @@ from omniman_ros.identification.line_reader import EndOfInputError
 from omniman_ros.nodes.registry import known_names
 from omniman_ros.robots import robot_file
 from test.robots import robot
-from test.running import (
-    PATIENCE,
-    Running,
-    children_of,
-    command,
-    environment,
-    is_alive,
-    wait_until,
-)
 
 IG42 = robot("ig42")
 BACK_EMF, ETA, RESISTANCE = 0.78, 0.66, 1.85
@@ -230,50 +218,3 @@ def test_a_stop_while_the_user_is_asked_is_reported_with_its_reason():
 
 
 # ---- real processes ----------------------------------------------------------------------------
-
-
-@pytest.mark.processes
-@pytest.mark.exhaustive
-def test_it_does_not_begin_next_to_a_controller(monkeypatch):
-    """It is refused before anything is published, even where the user confirms the lift."""
-    env = environment()
-    monkeypatch.setenv("ROS_DOMAIN_ID", env["ROS_DOMAIN_ID"])
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    tool = command("identify", "friction", "--lifted")
-    with Session("platform_controller", events=False) as controller:
-        controller.node.create_publisher(JointState, "wheel_commands", 1)
-        with Running(tool, env) as running:
-            assert running.finish() == 1
-    assert "/platform_controller publishes 'wheel_commands'" in running.output
-    assert "two must not command the wheels" in running.output
-    assert "LIFT" not in running.output
-
-
-@pytest.mark.processes
-@pytest.mark.exhaustive
-def test_ctrl_c_ends_a_simulation_with_130_and_leaves_nothing(tmp_path):
-    arguments = ("identify", "friction", "--simulate", "--results", str(tmp_path))
-    with Running(command(*arguments), environment()) as running:
-        running.wait_for("the wheels turn freely")
-        pids = children_of(running.process.pid)
-        assert len(pids) == 1
-        running.process.send_signal(signal.SIGINT)
-        assert running.process.wait(timeout=PATIENCE) == 130
-        wait_until(lambda: not any(map(is_alive, pids)), "the end of the node")
-    assert not list(tmp_path.iterdir()), "no run was complete, so none is kept"
-
-
-@pytest.mark.processes
-@pytest.mark.exhaustive
-def test_a_running_drive_on_the_floor_is_detected(tmp_path):
-    """The user confirms that the robot is lifted, but the wheels of the drive touch the floor."""
-    env = environment()
-    up = command("up", "--robot", "ig42", "--only", "simulated_drive")
-    tool = command("identify", "friction", "--lifted", "--results", str(tmp_path))
-    with Running(up, env) as drive, Running(tool, env) as running:
-        assert running.finish() == 1, running.output
-        assert "LIFT THE ROBOT" in running.output
-        assert "does it touch the floor" in running.output
-        drive.process.send_signal(signal.SIGINT)
-        drive.process.wait(timeout=PATIENCE)
-    assert not list(tmp_path.iterdir())
