@@ -3,6 +3,8 @@
 * Tests without a mark run on injected or simulated time, on all cores.
 * `processes` starts processes, sockets or threads, which run on real time.
 * `exhaustive` runs by hand only (`make test-all`): tours of every parameter, whole studies.
+
+`command` is on what tries `omniman`; `.ci/run ros` leaves its processes out.
 """
 
 import gc
@@ -30,6 +32,10 @@ settings.register_profile(
 settings.load_profile("seeded")
 
 END_TO_END = f"{Path(__file__).parent}/end_to_end/"
+COMMANDS = tuple(
+    f"{Path(__file__).parent}/{room}/"
+    for room in ("cli", "demo", "identification", "lab", "processes")
+)
 
 # A shell without job control starts background jobs with SIGINT ignored, and what the tests start
 # would inherit that: none would hear the Ctrl-C that a test sends.
@@ -57,6 +63,8 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if str(item.path).startswith(END_TO_END):
             item.add_marker(pytest.mark.processes)
+        if str(item.path).startswith(COMMANDS):
+            item.add_marker(pytest.mark.command)
     items.sort(key=lambda item: item.get_closest_marker("processes") is None)
 
 
