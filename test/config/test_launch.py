@@ -31,7 +31,6 @@ from omniman_ros.processes.robot_setup import ROBOT_NODES
 from omniman_ros.ur.parameters import UrParameters
 
 ROOT = Path(__file__).resolve().parents[2]
-LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
 
 
 @dataclass
@@ -290,11 +289,6 @@ def file_of():
 @pytest.fixture
 def platform(file_of):
     return lambda **given: launch(file_of("platform"), **given)
-
-
-def test_these_are_the_launch_files():
-    names = [file.name.removesuffix(".launch.py") for file in LAUNCH_FILES]
-    assert names == ["moveit", "nav2", "platform", "two_robots"]
 
 
 @pytest.fixture

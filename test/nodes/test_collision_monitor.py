@@ -235,34 +235,6 @@ def test_inputs_that_end_as_time_goes_back_leave_the_monitor_blind():
         assert world.shares == [1.0, 1.0]
 
 
-@pytest.mark.parametrize(
-    ("heights", "is_free"),
-    [((0.0, 0.0), False), ((0.0, 0.35), True), ((0.0, 0.6), False), ((1.0, 2.0), True)],
-    ids=["of unknown height", "table", "high table", "lamp"],
-)
-def test_the_robot_passes_below_and_above_what_is_not_at_its_height(heights, is_free):
-    """The stretched arm is 0.55 to 0.8 m above the floor, ahead of the platform."""
-    low, high = heights
-    with Watcher() as world:
-        marker = Marker(type=Marker.CYLINDER, action=Marker.ADD)
-        marker.header.frame_id = "odom"
-        marker.pose.position.x, marker.pose.position.z = 1.15, 0.5 * (low + high)
-        marker.scale.x = marker.scale.y = 0.4
-        marker.scale.z = high - low
-        world.publisher(MarkerArray, "obstacles").publish(MarkerArray(markers=[marker]))
-        demands = world.publisher(JointState, "motion_demand")
-        names = ["base_x", "base_y", "base_theta", *UR_JOINTS]
-        swing = JointState(name=names, velocity=[0.0, 0.0, 0.1, 0.5, *[0.0] * 5])
-
-        def ask():
-            world.measure()
-            swing.header.stamp = world.stamp()
-            demands.publish(swing)
-
-        world.run(0.1, ask)
-        assert (world.shares == [1.0, 1.0]) == is_free
-
-
 UNUSABLE = {
     "a source that never sends": (MarkerArray, "obstacles", 10, None, "no obstacles yet from"),
     "obstacles in a frame that nothing relates to odom": (

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Quaternion, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
@@ -24,15 +23,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.headers import time_seconds
-from omniman_ros.conversions.poses import path_message
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import se2
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
 from omniman_ros.core.preview import Preview, Setpoint
-from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
-from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -766,24 +762,6 @@ def test_stop_wins_over_a_goal_at_the_same_time(alone):
     alone.assert_silent(0.5)
 
 
-def test_goal_takes_over_from_a_path():
-    with PlannerWithRealController(PathInterpolatorNode) as world:
-        walker = world.nodes[-1]
-        monitor = walker.motions.context.stream_monitor
-        world.run_until(lambda: monitor.source == "none", 2.0, "active_source at the interpolator")
-        paths = world.publisher(Path, "path")
-        paths.publish(path_message(np.array([[0, 0, 0], [0.0, 0.6, 0]]), "odom"))
-        world.run(1.0)
-        assert walker.motions.path.core.state is PathState.FOLLOWING and world.true_speed() > 0.1
-        world.send(0.4, 0.1, 0.0)
-        world.run(0.1)
-        assert walker.motions.path.core.state is PathState.IDLE
-        assert "mpc drives" in walker.status()[1] and world.state is PlannerState.DRIVING
-        world.arrive()
-        assert world.distance(0.4, 0.1, 0.0) < 0.03 and world.warnings == []
-        assert [m.data for m in world.sources] == ["none", "path", "mpc"]
-
-
 # ---- pause, resume, cancel --------------------------------------------------------------------
 
 
@@ -919,17 +897,6 @@ def test_new_goal_does_not_wait_for_a_source_without_publisher(alone):
     assert any("the source of obstacles is gone" in warning for warning in alone.warnings)
 
 
-def test_new_goal_waits_for_a_silent_source_with_a_publisher(alone):
-    alone.seen = True
-    alone.send(*FAR)
-    alone.run(0.5)
-    alone.seen = False
-    alone.run(2.5)
-    alone.rest()
-    alone.send(*FAR)
-    alone.assert_silent(1.0)
-
-
 def test_goal_waits_for_a_required_source():
     with PlannerWithFakeController({"obstacles.required": True}) as world:
         world.send(0.3, 0.0, 0.0)
@@ -939,50 +906,6 @@ def test_goal_waits_for_a_required_source():
         world.seen = True
         world.arrive()
         assert world.warnings == []
-
-
-def test_goal_is_refused_after_waiting_for_a_required_source():
-    with PlannerWithFakeController({"obstacles.required": True}) as world:
-        world.send(0.3, 0.0, 0.0)
-        world.run(WAIT_TIMEOUT + 0.1)
-        assert world.warnings == [
-            "the robot is blind: no obstacles yet: nobody sends it",
-            "goal not used: no obstacles yet: nobody sends it",
-        ]
-        assert world.last_status()[1] == "a goal was refused: no obstacles yet: nobody sends it"
-        assert not world.references
-
-
-def test_obstacles_are_deleted_and_expire(alone):
-    def known() -> int:
-        alone.run(CYCLE + 2 * TICK)
-        return int(alone.last_status()[2]["obstacles"])
-
-    def other(number: int) -> Marker:
-        made = marker(0, 5, number=number)
-        made.ns = "others"
-        return made
-
-    alone.send(*FAR)
-    alone.run(2 * PERIOD)
-    alone.report(*(marker(0, 3 + i, number=i) for i in range(3)), other(0), other(1))
-    assert known() == 5
-    gone = marker(0, 0, number=1)
-    gone.action, gone.header.frame_id = Marker.DELETE, ""
-    alone.report(gone, gone)
-    assert known() == 4
-    alone.report(Marker(ns="others", action=Marker.DELETEALL))
-    assert known() == 2
-    alone.report(Marker(action=Marker.DELETEALL), other(7))
-    assert known() == 1
-    brief = other(8)
-    brief.lifetime = Duration(nanosec=300_000_000)
-    alone.report(brief)
-    assert known() == 2
-    alone.run(0.1)
-    assert known() == 2
-    alone.run(0.1)
-    assert known() == 1 and alone.warnings == []
 
 
 def test_a_message_with_a_rejected_part_does_not_reset_the_source_timeout(alone):

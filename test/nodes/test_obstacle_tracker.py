@@ -146,14 +146,6 @@ def test_somebody_who_walks_is_an_obstacle_and_what_stands_is_in_the_map():
         assert room.status()[0] == DiagnosticStatus.OK
 
 
-def test_a_robot_that_drives_and_turns_sees_nothing_move():
-    with Room() as room:
-        room.twist = (0.3, 0.1, 0.4)
-        room.watch(3.0, lambda t, pose: ranges_of([(2.0, -1.0, 0.1), (3.0, 1.5, 0.3)], pose))
-        assert len(room.markers) > 40
-        assert not any(message.markers for message in room.markers)
-
-
 def test_the_mounting_comes_from_tf():
     with tf_installed(), Room(parameters={}) as room:
         room.watch(0.3, walker)

@@ -735,23 +735,6 @@ def test_a_path_that_the_controller_ignores_is_reported_and_a_later_one_is_drive
     assert min(t for t in world.arrivals if t > sent) - sent > 1.0
 
 
-def test_a_path_right_after_the_end_of_another_is_driven(world):
-    """The controller already reports `path`, and may report `none` once more."""
-    world.send(BENT)
-    world.run_to_end()
-    assert world._last_source == "path"
-    world.send([BENT[-1], (0.3, 0.2, 0.5)])
-    world.run(0.7)
-    assert world.core.state is PathState.FOLLOWING and world.warnings == []
-    world.run_to_end()
-    world.send([(0.3, 0.2, 0.5), (0.2, 0.1, 0.5)])
-    world.publish_source("none")
-    world.run(0.02)
-    world.run_to_end()
-    assert world.warnings == []
-    assert world.received_motion()[1][-1] == pytest.approx([0.2, 0.1, 0.5], abs=1e-9)
-
-
 # ---- a dead wheel -----------------------------------------------------------------------------
 
 LONG = [(0, 0, 0), (1.5, 0, 0), (1.5, 0.5, 0.5)]

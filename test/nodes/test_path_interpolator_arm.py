@@ -161,27 +161,6 @@ def test_a_trajectory_without_times_moves_all_joints_synchronously(world):
     assert world.warnings == []
 
 
-def test_given_times_are_kept_with_and_without_velocities(world):
-    middle = 0.5 * (HOME + FAR)
-    times = [1.0, 2.1]
-    for rows, more in (
-        ([middle, FAR], {}),
-        ([middle, HOME], {"velocities": [0.3 * (HOME - FAR), 0 * HOME]}),
-    ):
-        since = len(world.joint_previews)
-        world.move(rows, times, **more)
-        begin = world.arm._motion.start
-        world.run_to_arm_end()
-        at, x, v, _ = world.assert_arm_smooth(since)
-        for k, t in enumerate(times):
-            i = int(np.argmin(np.abs(at - begin - t)))
-            near = x[i] + (begin + t - at[i]) * v[i]
-            assert near == pytest.approx(rows[k], abs=1e-5)
-            if more:
-                assert v[i] == pytest.approx(more["velocities"][k], abs=0.01)
-    assert world.warnings == []
-
-
 def test_omitted_joints_hold_their_position(world):
     world.move([[0.1, 0.6]], names=[UR_JOINTS[5], UR_JOINTS[0]])
     world.run_to_arm_end()
@@ -459,25 +438,6 @@ def test_a_lost_speed_scaling_ends_the_arm_motion_and_later_paths_run_at_full_sp
     world.send([world.setpoint.pose, (2.5, 0, 0)])
     world.run_to_end()
     assert np.abs(world.received_motion(since)[2][:, 0]).max() == pytest.approx(0.5, abs=1e-6)
-
-
-def test_a_speed_scaling_of_one_leaves_the_stream_bit_identical():
-    streams = []
-    for scaling in (None, 1.0):
-        with ArmWorld() as world:
-            world.scaling = scaling
-            world.run(0.1)
-            world.send(BENT)
-            world.run(1.2)
-            assert world.node.motions.context.time_base.pace.plain
-            streams.append(
-                [
-                    [p.transforms[0].translation, p.velocities, p.accelerations]
-                    for i in range(len(world.references))
-                    for p in world.message(i).points
-                ]
-            )
-    assert streams[0] == streams[1]
 
 
 def test_invalid_joint_states_do_not_count_as_fresh(world):

@@ -363,20 +363,6 @@ def test_an_empty_trajectory_stops_a_whole_body_motion(world):
     assert world.received_axes()[1][-1, 0] < 0.55
 
 
-def test_a_motion_waits_for_the_required_silence_after_lost_control(world):
-    world.follows_stream = False
-    world.send(BENT)
-    world.run(0.6)
-    assert "does not follow it" in world.warnings[-1]
-    sent = world.arrivals[-1]
-    world.follows_stream = True
-    world.send_body([GOAL])
-    assert "is waiting: control was lost" in world.node.motions.whole_body.status.text
-    world.run_until(lambda: world.body.state is PathState.FOLLOWING, 3.0, "the begin")
-    world.run_to_body_end()
-    assert min(t for t in world.arrivals if t > sent) - sent > 1.0
-
-
 def test_progress_is_published(world):
     world.send_body([GOAL])
     world.run_to_body_end()

@@ -85,15 +85,6 @@ def test_torque_and_voltage_modes_move_the_robot(drive):
     assert last(drive.truth).twist.twist.linear.x > speed
 
 
-def test_opposed_wheels_do_not_move_the_robot():
-    """The weight is centred: with more weight in front, the front wheels would prevail."""
-    with Drive({"robot": "ig42"}) as drive:
-        drive.command(1.5, [4.0, 4.0, -4.0, -4.0])
-        assert min(np.abs(last(drive.states).velocity)) > 3.0
-        pose = last(drive.truth).pose.pose.position
-        assert math.hypot(pose.x, pose.y) < 0.01
-
-
 def test_topics_have_their_rates_and_the_electrical_layout(drive):
     electrical = drive.listen(Float64MultiArray, "wheel_electrical")
     before = len(drive.states), len(drive.truth), len(electrical)
@@ -244,13 +235,6 @@ def test_message_loss_and_delay_change_at_runtime(drive):
     assert drive.time - (stamp.sec + 1e-9 * stamp.nanosec) == pytest.approx(0.2, abs=0.011)
 
 
-def test_lifted_wheels_turn_and_the_robot_stays(drive):
-    assert drive.set("plant.lifted", True).successful
-    drive.command(1.0, [3.0] * 4)
-    assert drive.speeds.min() > 2.5
-    assert last(drive.truth).pose.pose.position.x == pytest.approx(0.0, abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -316,20 +300,6 @@ def test_drive_fault_latches_a_stop_and_is_published(drive):
     drive.command(1.0, [2.0] * 4)
     assert last(states).level == DiagnosticStatus.ERROR and "rear_left" in last(states).message
     assert not drive.call(Trigger, "simulated_drive/reset").success or drive.speeds.max() < 0.1
-
-
-def test_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
-    """All wheels come to rest in the same time, so the motion constraint holds."""
-    drive.command(1.5, [1.0, 4.0, 3.0, 2.0])
-    errors = []
-
-    def look() -> None:
-        speeds = drive.speeds
-        errors.append(abs(speeds @ [1.0, 1.0, -1.0, -1.0]))
-
-    drive.run(1.0, look)
-    assert max(errors) < 0.5
-    assert np.abs(drive.speeds).max() < 0.02
 
 
 def test_stopped_drive_warns_only_of_commands_to_move(drive):

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -125,22 +124,6 @@ def test_topics_have_their_rates(robot):
         assert len(heard[topic]) - before[topic] == pytest.approx(rate, abs=1), topic
 
 
-def test_ranges_are_those_of_the_geometry(scene):
-    """The wall's near side is at x = 2.9; at a height of 0.4 m the beams pass above the post."""
-    scanner = {"x": 0.3, "z": 0.4, "yaw": 0.2, "field_of_view": 1.2, "sees_robot": False}
-    given = {f"scanners.{name}": [value] for name, value in scanner.items()}
-    with Robot(scene, given) as robot:
-        scans = robot.listen(LaserScan, "scan")
-        robot.run(0.1)
-        scan = last(scans)
-        angles = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
-        assert (len(angles), angles[-1]) == (720, pytest.approx(scan.angle_max, abs=1e-4))
-        expected = (2.9 - 0.3 - robot.x) / np.cos(angles + 0.2)
-        np.testing.assert_allclose(scan.ranges, expected, atol=2e-3)
-        assert scan.header.frame_id == "scanner"
-        assert scan.scan_time == pytest.approx(0.05)
-
-
 def test_the_scanner_changes_at_runtime(robot):
     scans = robot.listen(LaserScan, "scan")
     robot.run(0.1)
@@ -218,16 +201,6 @@ def test_a_contact_is_told_within_10_ms_and_its_end_too(robot):
     count = len(contacts)
     robot.run(0.1)
     assert len(contacts) == count
-
-
-def test_wheel_loads_sum_to_the_weight(robot):
-    """omniman has 140 kg and an arm of 20.4 kg."""
-    messages = robot.listen(Float64MultiArray, "wheel_loads")
-    robot.run(1.0)
-    message = last(messages)
-    assert [(d.label, d.size) for d in message.layout.dim] == [("wheel", 4), ("load", 1)]
-    assert sum(message.data) == pytest.approx(160.4 * 9.81, rel=0.01)
-    assert min(message.data) > 0.0
 
 
 def test_obstacles_are_shown_where_they_are(robot):

@@ -31,11 +31,6 @@ def gaps(pose, case, body, time=0.0):
     )[0]
 
 
-def test_there_are_three_cases_as_in_the_paper():
-    assert list(CASES) == ["free", "corridor", "moving"]
-    assert all(case.name == name for name, case in CASES.items())
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_start_and_goal_are_clear(name, body):
     case = CASES[name]
