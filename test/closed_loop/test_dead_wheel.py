@@ -113,33 +113,6 @@ def test_dead_motor_by_default_stops_the_robot_within_its_limits():
     assert abs(course.drives.wheel_states(course.loop.now).velocity).max() < 0.05
 
 
-def test_dead_motor_stops_a_three_wheel_robot():
-    course = Course("omni3", ON)
-    course.go(FORWARD, 1.5)
-    course.fault(dead_motor=("front_left",))
-    assert course.go(FORWARD, 2.5) < 0.7
-    assert "front_left" in course.core.latch.status.reason
-    assert np.abs(course.twist).max() < 1e-3
-
-
-def test_without_torques_only_a_configured_dead_wheel_is_excluded():
-    loop = Loop("omniman", ON, {"faults.dead_motor": ("front_left",)})
-    loop._torques = False
-    for _ in range(600):
-        loop.controller.set_twist(np.array(FORWARD), loop.now)
-        loop.step()
-    assert (
-        loop.controller.wheel_health.idle == ()
-        and not loop.controller.wheel_health.torque_reported
-    )
-    course = Course(
-        "omniman", {"drive.dead": ("front_left",)}, {"faults.dead_motor": ("front_left",)}
-    )
-    course.loop._torques = False
-    course.go(SIDEWAYS, 3.0)
-    np.testing.assert_allclose(course.twist, SIDEWAYS, atol=0.01)
-
-
 @pytest.mark.parametrize(
     ("robot", "mode"),
     [
@@ -286,22 +259,6 @@ def test_weakly_determined_twist_is_followed_through_sharp_turns(mode):
         course.go(twist, 2.2)
         np.testing.assert_allclose(course.twist, twist, atol=0.03)
     assert course.core.latch.released, course.core.latch.status
-
-
-def test_after_a_repair_and_a_reset_all_wheels_drive_again():
-    course = Course("omniman", ON)
-    course.go(FORWARD, 1.0)
-    course.fault(dead_motor=("front_right",))
-    course.go(FORWARD, 1.5)
-    course.fault()
-    course.go((0.0, 0.0, 0.0), 2.0)
-    assert course.core.wheel_health.idle == (1,), "the wheel must not return to service by itself"
-    course.drives.reset()
-    course.core.reset(course.loop.now)
-    course.go((0.0, 0.0, 0.0), 0.1)
-    assert course.go(FORWARD, 3.0) is None
-    assert course.core.wheel_health.idle == ()
-    assert course.drives.wheel_states(course.loop.now).effort[1] > 0.5
 
 
 @pytest.mark.parametrize(("robot", "mode"), combinations(["omniman", "ig42", "omni3"], MODES))

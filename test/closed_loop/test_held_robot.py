@@ -160,16 +160,6 @@ def test_a_held_robot_on_rollers_is_noticed_within_a_second(case, mode):
     assert delay <= LATEST
 
 
-def test_all_wheels_come_to_rest_and_stay_there():
-    ride = Ride(scene=TABLE)
-    ride.go((0.3, 0.0, 0.0), 3.0)
-    for _ in range(400):
-        ride.core.set_twist(np.array([0.3, 0.0, 0.0]), ride.loop.now)
-        ride.loop.step()
-    assert np.abs(ride.loop.states.velocity).max() < 0.02
-    assert not ride.core.setpoint.any()
-
-
 def test_a_robot_that_voltages_push_against_a_wall_is_noticed():
     ride = Ride(scene=wall_ahead(0.2))
     for _ in range(400):

@@ -394,15 +394,6 @@ def test_emergency_stop_of_the_controller_is_latched_until_its_power_is_back():
         bench.assert_goes_on()
 
 
-def test_paused_program_is_latched():
-    with Bench() as bench:
-        bench.swing()
-        bench.arm.fault(pause_program=True)
-        bench.until(bench.arm.is_paused, "the pause")
-        bench.assert_stands("the program is paus")
-        bench.assert_goes_on()
-
-
 INVALID_PREVIEWS = {
     "nan": lambda b, home: b.preview(lambda t: (home + math.nan, np.zeros(6))),
     "jump 0.16": lambda b, home: b.preview(lambda t: (home + 0.16, np.zeros(6))),

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import TransformError
 from omniman_ros.nodes.frame_parameters import FrameParameters, OdomFrame, TransformOptions
-from omniman_ros.nodes.frame_transforms import MOST_WAITING, FrameTransforms
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from test.nodes.harness import World
 from test.nodes.transforms import Transforms, tf_installed
@@ -127,32 +127,9 @@ def test_the_wait_is_bounded_and_its_end_names_the_frames(world):
     assert world.node.poses == []
 
 
-def test_a_frame_that_did_not_come_is_waited_for_once(world):
-    world.send("attic")
-    world.run(WAIT + 0.1)
-    assert len(world.node.warnings) == 1
-    world.send("attic")
-    assert (
-        len(world.node.warnings) == 2
-        and "no transform of frame 'attic'" in (world.node.warnings[1])
-    )
-    world.tf.send("odom", "attic", 7.0, static=True)
-    world.run(0.02)
-    world.send("attic")
-    assert world.node.poses[0][0] == 7.0
-
-
 def test_a_stamp_before_the_history_is_refused_at_once(world):
     world.send("laser", age=3.0)
     assert "begin 2.88" in world.node.warnings[0]
-
-
-def test_a_flood_of_messages_that_wait_is_bounded(world):
-    for i in range(3 * MOST_WAITING):
-        world.send("laser", x=float(i))
-    world.tf.send("odom", "base_link", 0.0)
-    world.run(0.1)
-    assert len(world.node.poses) <= MOST_WAITING + 5
 
 
 def test_bad_transforms_are_warned_of_and_the_others_of_the_message_count(world):

@@ -239,19 +239,6 @@ def test_a_report_whose_positions_wrapped_is_used_and_not_said_to_be_unused(whee
     assert warning.startswith("wheel_states: positions jumped (encoder_span, if they wrap around)")
 
 
-def test_recording_in_a_loop_continues_the_pose(wheels):
-    begin = wheels.time
-    wheels.turn(1.0)
-    wheels.run(2 * PERIOD)
-    once = wheels.core.odometry.pose
-    wheels.time = begin
-    wheels.position = np.zeros(4)
-    wheels.turn(PERIOD)
-    assert wheels.core.odometry.pose == once
-    wheels.turn(1.0)
-    assert wheels.core.odometry.pose[2] == pytest.approx(2.0 * once[2], rel=0.02)
-
-
 # ---- parameters ---------------------------------------------------------------------------------
 
 
