@@ -114,7 +114,7 @@ def test_a_goal_in_base_link_is_where_the_robot_was_at_its_stamp():
         world.goals.publish(message)
         world.begin()
         pose = world.core.goal.targets(np.zeros(1))[0][0]
-        assert pose == pytest.approx([2.0, 0.25, 0.0], abs=0.15)
+        assert pose == pytest.approx([2.0, 0.25, 0.0], abs=0.03)
 
 
 def test_obstacles_and_maps_in_map_move_with_it_and_do_not_seem_to_drive():

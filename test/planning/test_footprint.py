@@ -40,6 +40,8 @@ POST = (0.0, 2.0)
 PALLET = (0.0, 0.2)
 LAMP = (1.0, 2.0)
 SHELF = (0.7, 0.75)
+STEP = 0.1
+"""Of the motions here, as of planned ones [s]."""
 
 
 def things(*rows, heights, **more):
@@ -49,10 +51,10 @@ def things(*rows, heights, **more):
 
 
 def straight_ahead(speed=0.4, seconds=3.0):
-    times = np.array([0.0, seconds])
-    poses = np.array([[0.0, 0.0, 0.0], [speed * seconds, 0.0, 0.0]])
-    velocities = np.array([[speed, 0.0, 0.0]] * 2)
-    return Motion(times, poses, velocities, np.zeros((1, 4)))
+    times = np.linspace(0.0, seconds, round(seconds / STEP) + 1)
+    poses, velocities = np.zeros((2, len(times), 3))
+    poses[:, 0], velocities[:, 0] = speed * times, speed
+    return Motion(times, poses, velocities, np.zeros((len(times) - 1, 4)))
 
 
 @pytest.mark.parametrize(
@@ -71,7 +73,7 @@ def test_the_check_of_a_motion_finds_what_is_at_the_height_of_a_part(heights, re
     known = things((1.5, 0.0, 0.1), heights=[heights])
     contact = Surroundings(AHEAD, known, WIDE, 0.0).contact(straight_ahead(), 0.0)
     expected = (1.5 - 0.1 - reach) / 0.4 if reach < 2.0 else math.inf
-    assert contact == (math.inf if reach > 2.0 else pytest.approx(expected, abs=0.8))
+    assert contact == (math.inf if reach > 2.0 else pytest.approx(expected, abs=0.03))
     assert contact <= expected + 1e-9
 
 
@@ -80,9 +82,9 @@ def test_a_wall_and_the_workspace_stop_the_arm():
     none = ellipses()
     at = straight_ahead(0.1, 6.0)
     by_wall = Surroundings(AHEAD, none, WIDE, 0.0, walls=walls).contact(at, 0.0)
-    assert by_wall == pytest.approx((1.5 - 0.035 - 0.95) / 0.1, abs=0.5)
+    assert by_wall == pytest.approx((1.5 - 0.035 - 0.95) / 0.1, abs=0.03)
     by_edge = Surroundings(AHEAD, none, (-9, -9, 1.2, 9), 0.0).contact(at, 0.0)
-    assert by_edge == pytest.approx((1.2 - 0.95) / 0.1, abs=1.6)
+    assert by_edge == pytest.approx((1.2 - 0.95) / 0.1, abs=0.03)
 
 
 @pytest.mark.parametrize(("heights", "fits"), [(POST, False), (SHELF, False), (PALLET, True)])
