@@ -164,17 +164,6 @@ def test_twist_beyond_the_limits_keeps_its_direction():
     assert not rig.core.cascade.saturated
 
 
-def test_saturating_wheels_are_scaled_by_one_factor():
-    rig = Rig(changes={"motor.max_speed": 5.0}).cruise(0.8, 0.3, 0.5, seconds=3.0)
-    assert rig.core.cascade.saturated
-    for command in rig.commands:
-        assert abs(command.velocity).max() <= 5.0 * SLACK
-    assert abs(rig.commands[-1].velocity).max() == pytest.approx(5.0)
-    np.testing.assert_allclose(np.cross(rig.core.setpoint, [0.8, 0.3, 0.5]), 0, atol=1e-9)
-    rig.run(2.0)
-    assert rig.still
-
-
 def test_computed_torque_is_fed_forward_with_the_speeds():
     rig = driving()
     cascade = rig.core.cascade
@@ -1029,13 +1018,6 @@ def test_coupling_controller_bounds_the_error_of_uneven_drives(robot):
         rig.cruise(0.5, 0.2, 0.1, seconds=12.0)
         errors.append(abs(rig.core.cascade.coupling.error).max())
     assert errors[1] < 0.12 * errors[0]
-
-
-def test_coupling_error_is_cleared_at_rest():
-    rig = uneven(Rig()).cruise(*CRUISE)
-    assert rig.core.cascade.coupling.error.any()
-    rig.run(2.0)
-    assert not rig.core.cascade.coupling.error.any()
 
 
 def test_integrated_coupling_error_outlives_rest_and_pose_until_odometry_is_reset():

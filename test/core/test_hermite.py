@@ -33,23 +33,6 @@ def test_polynomial_of_matching_degree_is_reproduced(dimensions, degree, with_ac
             assert sampled == pytest.approx(at(expected, now)[0], abs=1e-9)
 
 
-def test_curve_rests_at_its_ends_before_and_after():
-    curve = Hermite(
-        np.array([1.0, 2.0]), np.array([[0.0, 5.0], [1.0, 7.0]]), np.ones((2, 2)), None
-    )
-    for now, place in ((0.0, [0.0, 5.0]), (2.0, [1.0, 7.0]), (9.0, [1.0, 7.0])):
-        position, velocity, acceleration = curve.sample(now)
-        assert position.tolist() == place
-        assert not velocity.any()
-        assert not acceleration.any()
-    assert (curve.start, curve.end, curve.end_speed) == (1.0, 2.0, 1.0)
-
-
-def test_single_point_gives_a_constant_position():
-    curve = Hermite(np.array([1.0]), np.array([[3.0]]), np.array([[0.0]]), None)
-    assert [curve.sample(now)[0].tolist() for now in (0.0, 1.0, 2.0)] == [[3.0]] * 3
-
-
 @pytest.mark.parametrize("with_accelerations", [True, False])
 def test_vectorised_evaluation_equals_evaluation_one_by_one(with_accelerations):
     rng = np.random.default_rng(4)
