@@ -63,6 +63,17 @@ def test_a_port_in_use_is_refused_by_name(server):
         ArmLinkServer(server.port)
 
 
+def test_a_second_controller_is_turned_away(server, client):
+    second = ArmLinkClient(server.port)
+    assert second.open()
+    assert not server.accept() and server.refused == 1
+    second.wait(TIMEOUT)
+    assert second.receive() == [] and not second.is_open
+    assert "closed" in second.failure or "broke" in second.failure
+    client.send(ArmSetpoint(1, 0.0, SIX, SIX))
+    assert len(read(server)) == 1
+
+
 def test_the_end_of_either_side_is_noticed_and_a_new_controller_is_accepted(server, client):
     client.close("done")
     with pytest.raises(LinkError, match="closed"):

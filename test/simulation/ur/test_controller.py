@@ -98,6 +98,22 @@ def test_too_large_jump_causes_a_protective_stop_with_deceleration(rig, step):
     assert np.all(np.isfinite(c.arm.q))
 
 
+def test_joint_at_the_end_of_its_range_causes_a_protective_stop():
+    rig = Rig(initial=(6.2, -1.5, 1.0, 0.0, 0.5, 0.0))
+    rig.play(sweep(rig, 1.0)[0])
+    rig.run(1.0)
+    assert rig.controller.modes.safety is SafetyMode.PROTECTIVE_STOP
+    assert "position of joint 0" in rig.controller.log[0]
+    assert 6.3355 < rig.controller.arm.q[0] < 6.3355 + 1.0 / 15 + 0.02
+    # After unlocking, the joint may be moved back.
+    rig.run(5.0)
+    assert rig.controller.unlock()
+    rig.play(lambda host, k: host.speedj((-0.3, 0, 0, 0, 0, 0), 1.0, CYCLE))
+    rig.run(1.0)
+    assert rig.controller.modes.safety is SafetyMode.NORMAL
+    assert rig.controller.arm.q[0] < 6.2
+
+
 def test_manual_protective_stop_stops_within_its_deceleration(rig):
     rig.play(sweep(rig, 2.0)[0])
     rig.run(1.0)
@@ -129,6 +145,22 @@ def test_unlocking_is_refused_for_5_s_and_then_starts_no_motion(rig):
     assert rig.controller.runtime is RuntimeState.PLAYING and rig.script.steps > steps
 
 
+def test_interrupted_move_continues_after_unlocking(rig):
+    goal = rig.start.copy()
+    goal[0] += 1.0
+    done = []
+    rig.play(lambda host, k: done or done.append(host.movej(tuple(goal), 1.0, 0.5, 0.0, 0.0)))
+    rig.run(1.0)
+    rig.faults(protective_stop=True)
+    rig.run(5.5)
+    assert not done[0]() and 0.2 < rig.moved < 0.8
+    assert rig.controller.unlock() and rig.controller.play()
+    rig.track.clear()
+    rig.run(4.0)
+    assert done[0]() and rig.moved == pytest.approx(1.0, abs=1e-3)
+    assert rig.hardest() < 3.0
+
+
 # ---- pause ------------------------------------------------------------------------------------
 
 
@@ -155,6 +187,18 @@ def test_pause_slows_down_holds_and_resumes(rig):
     assert rig.speed == pytest.approx(0.5, rel=0.02)
     assert rig.hardest() < 8.0
     assert bits(rig) == [0b11, 1]
+
+
+def test_paused_program_can_be_stopped_exactly_once(rig):
+    rig.play(sweep(rig)[0])
+    rig.run(0.1)
+    assert rig.controller.pause()
+    rig.run(1.0)
+    assert rig.controller.stop("by hand") and not rig.controller.stop("by hand")
+    assert (
+        rig.controller.runtime is RuntimeState.STOPPED and rig.controller.end_reason == "by hand"
+    )
+    assert not rig.controller.play() and not rig.controller.pause()
 
 
 # ---- emergency stop and power -----------------------------------------------------------------
@@ -219,6 +263,18 @@ def test_invalid_program_is_rejected_and_the_old_one_continues(rig):
     assert not rig.controller.start("nonsense")
     assert rig.controller.runtime is RuntimeState.PLAYING
     assert rig.controller.counts.refused == 1 and "nonsense" in rig.controller.log[-1]
+
+
+def test_arm_is_steady_shortly_after_coming_to_rest(rig):
+    rig.play(sweep(rig)[0])
+    rig.run(0.5)
+    assert not rig.host.is_steady()
+    rig.controller.stop("test")
+    while rig.speed > 1e-3:
+        rig.cycle()
+    assert not rig.host.is_steady()
+    rig.run(0.2)
+    assert rig.host.is_steady()
 
 
 # ---- registers, outputs -----------------------------------------------------------------------

@@ -116,6 +116,17 @@ def test_data_arrive_once_per_cycle(rig):
     assert [b - a for a, b in pairwise(times)] == pytest.approx([CYCLE] * 4)
 
 
+def test_several_clients_are_served(rig):
+    clients = [rig.stream() for _ in range(3)]
+    for each in clients:
+        assert rig.hear(each, DATA)
+    assert rig.ports.clients["rtde"] == 3
+    clients.pop().close()
+    for _ in range(200):
+        rig.cycle()
+    assert rig.ports.clients["rtde"] == 2
+
+
 def test_client_that_sends_garbage_is_closed_and_others_stay(rig):
     good, bad = rig.stream(), rig.connect("rtde")
     bad.sendall(b"GET / HTTP/1.1\r\n\r\n")
