@@ -53,7 +53,6 @@ class Ride:
         self.loop = ClosedLoop(
             robots.parameters(name, {"drive.mode": mode, **plain}),
             simulation,
-            0,
             torques,
             choice,
         )
