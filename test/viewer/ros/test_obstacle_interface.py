@@ -244,3 +244,11 @@ def test_an_invalid_event_is_refused_and_changes_nothing(town, bad):
     assert after.semi_axes.tolist() == before.semi_axes.tolist()
     assert not after.velocities.any()
     assert town.around.centers[0] == pytest.approx([2.0, 1.0])
+
+
+def test_more_than_a_hundred_obstacles_are_refused(town):
+    for _ in range(101):
+        town.node.page.post(ButtonPressed("add"))
+    town.world.run(0.1)
+    assert len(town.state.obstacles.numbers) == 100
+    assert "100 obstacles" in town.state.note

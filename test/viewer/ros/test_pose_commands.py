@@ -333,6 +333,17 @@ def test_a_robot_at_rest_is_not_relocated_before_the_planner_has_answered(field)
     until(world, lambda: services.called == ["cancel"] and field.placed, "the placing")
 
 
+def test_a_robot_that_does_not_come_to_rest_is_not_relocated(field):
+    post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
+    field.speed = 0.3
+    field.world.run(0.1)
+    press(field.world, "restart", 3.5)
+    assert field.state.note == "the robot is not at the start: the robot does not come to rest"
+    field.speed = 0.0
+    field.world.run(1.0)
+    assert field.placed == []
+
+
 def test_go_during_a_restart_takes_effect_at_the_start(field):
     post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
     field.pose, field.speed = (3.0, 0.0, 0.0), 0.3
