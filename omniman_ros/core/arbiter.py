@@ -27,8 +27,6 @@ PREVIEW_SOURCES = (Source.MPC, Source.BODY, Source.PATH, Source.STATION)
 
 @dataclass
 class _Slot:
-    """State of one source."""
-
     fresh_until: float = NEVER  #: Time until which its setpoint may drive [s]
     received: float = NEVER  #: Time of its last setpoint [s]
     cancelled: str = ""  #: Reason why it is cancelled; empty if it is not
@@ -43,7 +41,6 @@ class Arbiter:
 
     Attributes:
         silence: May be changed at any time.
-        active: Source that drives, or None.
     """
 
     def __init__(self, silence: Mapping[Source, float]) -> None:
@@ -52,15 +49,11 @@ class Arbiter:
         self.active: Source | None = None
 
     def offer(self, source: Source, now: float, fresh_until: float, neutral: bool = False) -> str:
-        """Register a valid setpoint of a source.
+        """Register a valid setpoint of a source; return why it is not used, or an empty string.
 
         Args:
-            now: Time of arrival [s].
             fresh_until: Time until which it may drive [s].
             neutral: Whether it asks for rest, which ends a cancellation.
-
-        Returns:
-            Reason why it is not used, or an empty string.
         """
         slot = self._slots[source]
         active = self.active
@@ -75,11 +68,7 @@ class Arbiter:
         return ""
 
     def refuse(self, source: Source, now: float, reason: str) -> str:
-        """Cancel a source whose setpoint arrived at `now` [s] but must not be used.
-
-        Returns:
-            The reason.
-        """
+        """Cancel a source whose setpoint of `now` [s] must not be used; return the reason."""
         self._slots[source].received = now
         self.cancel(source, reason)
         return reason
@@ -87,11 +76,9 @@ class Arbiter:
     def ignore(self, source: Source, now: float, reason: str) -> str:
         """Register a setpoint that arrived at `now` [s] and must not be used.
 
-        Its source goes on as before: neither is it cancelled, nor does it stay fresh for longer.
-        A cancelled source has not been silent.
-
-        Returns:
-            Reason why the source is cancelled; if it is not, the given reason.
+        Its source goes on as before: neither is it cancelled, nor does it stay fresh for longer. A
+        cancelled source has not been silent. The result is why the source is cancelled; if it is
+        not, the given reason.
         """
         slot = self._slots[source]
         slot.received = now
@@ -136,6 +123,5 @@ class Arbiter:
 
 
 def _precedes(first: Source, second: Source) -> bool:
-    """Return whether the first source has priority over the second."""
     order = list(Source)
     return order.index(first) < order.index(second)

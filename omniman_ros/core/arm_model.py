@@ -48,8 +48,7 @@ UR5 = DhTable()  #: DH table of the UR5
 class ArmModel:
     """Kinematics of a six-joint arm with three parallel axes, those of joints 2, 3 and 4.
 
-    Attributes:
-        table: Lengths of the arm.
+    Joint angles q are (..., 6) [rad]; poses (..., 4, 4) are in the base frame [m].
     """
 
     def __init__(self, table: DhTable = UR5) -> None:
@@ -59,11 +58,7 @@ class ArmModel:
         self._cos, self._sin = np.round(np.cos(DH_TWISTS), 15), np.sin(DH_TWISTS)
 
     def frames(self, q: Array) -> Array:
-        """Return the poses (..., 7, 4, 4) of the base and of each DH frame in the base frame [m].
-
-        Args:
-            q: Joint angles (..., 6) [rad].
-        """
+        """Return the poses (..., 7, 4, 4) of base and DH frames in the base frame [m]."""
         shape = q.shape[:-1]
         frames = np.empty((*shape, JOINTS + 1, 4, 4))
         frames[..., 0, :, :] = np.eye(4)
@@ -73,11 +68,7 @@ class ArmModel:
         return frames
 
     def forward(self, q: Array) -> Array:
-        """Return the pose (..., 4, 4) of `tool0` in the base frame [m].
-
-        Args:
-            q: Joint angles (..., 6) [rad].
-        """
+        """Return the pose (..., 4, 4) of `tool0` in the base frame [m]."""
         result: Array = self.frames(q)[..., -1, :, :]
         return result
 
@@ -85,9 +76,6 @@ class ArmModel:
         """Return the geometric Jacobian (..., 6, 6): joint rates to linear and angular velocity.
 
         Both are velocities of `tool0`, expressed in the base frame [m/s, rad/s].
-
-        Args:
-            q: Joint angles (..., 6) [rad].
         """
         return self.jacobian_of(self.frames(q))
 
@@ -110,9 +98,6 @@ class ArmModel:
         The angles are in (-pi, pi]. The branches combine shoulder left or right, wrist either way,
         and elbow up or down. A branch without a solution is NaN. With the wrist stretched
         (sin q5 = 0), only a combination of q2 + q3 + q4 and q6 is determined: q6 is set to 0.
-
-        Args:
-            poses: Poses (..., 4, 4) of `tool0` in the base frame [m].
         """
         shape = poses.shape[:-2]
         pose = poses.reshape(-1, 4, 4)
@@ -132,16 +117,7 @@ class ArmModel:
 
         The distance is the largest difference of a joint's angle. On each branch, the angles are
         those nearest to `q` up to whole revolutions; an angle beyond its limit is moved back by
-        one revolution.
-
-        Args:
-            pose: Pose (4, 4) of `tool0` in the base frame [m].
-            q: Present joint angles (6,) [rad].
-            lower: Lower limits (6,) [rad].
-            upper: Upper limits (6,) [rad].
-
-        Returns:
-            The joint angles, or None if no solution is within the limits.
+        one revolution. The result is None if no solution is within the limits.
         """
         solutions = self.inverse(pose)
         solutions = solutions[np.isfinite(solutions).all(axis=1)]
@@ -157,8 +133,7 @@ class ArmModel:
     def singularity(self, q: Array) -> str:
         """Return the name of the singularity at joint angles (6,) [rad].
 
-        Returns:
-            "shoulder", "elbow" or "wrist", or an empty string if the arm is not singular.
+        It is "shoulder", "elbow" or "wrist", or an empty string if the arm is not singular.
         """
         if abs(math.sin(q[4])) < SINGULARITY_THRESHOLD:
             return "wrist"
@@ -233,7 +208,6 @@ def _arccos(cosine: Array) -> Array:
 
 
 def _inverted(pose: Array) -> Array:
-    """Return the inverses (k, 4, 4) of rigid transforms (k, 4, 4)."""
     result = np.zeros_like(pose)
     rotation = np.swapaxes(pose[:, :3, :3], 1, 2)
     result[:, :3, :3] = rotation

@@ -16,8 +16,6 @@ REMEMBERED = 64  #: Number of messages that are recognised when they are deliver
 
 @dataclass
 class _Group:
-    """Publishers whose last messages have the same number."""
-
     size: int = 0  #: Number of publishers
     pressing: int = 0  #: Largest number of them that may have said true last
 
@@ -42,13 +40,12 @@ class EmergencyButtons:
     def update(self, pressed: bool, number: int | None, sent: int) -> bool:
         """Register a message; one that was registered before changes nothing.
 
+        The result is whether it is the first message of a publisher, as far as the numbers tell.
+
         Args:
             number: Its number among the messages of its publisher; None if it is unknown. Then
                 the last message counts, whoever sent it.
             sent: Time at which it was sent, in nanoseconds of the sender's clock.
-
-        Returns:
-            Whether it is the first message of a publisher, as far as the numbers tell.
         """
         if number is None:
             self._groups.clear()
@@ -71,16 +68,11 @@ class EmergencyButtons:
         return before is None
 
     def _forget_one(self) -> None:
-        """Forget the oldest group that is released, or the oldest one."""
         released = (number for number, group in self._groups.items() if not group.pressing)
         del self._groups[next(released, next(iter(self._groups)))]
 
     def is_pressed(self, publishers: int) -> bool:
-        """Return whether a publisher may say that the emergency stop is pressed.
-
-        Args:
-            publishers: Number of publishers that there are now.
-        """
+        """Return whether a publisher may say that the emergency stop is pressed."""
         if publishers <= 1 and not self._last:
             self._groups.clear()
         return any(group.pressing for group in self._groups.values())

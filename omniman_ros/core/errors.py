@@ -10,8 +10,6 @@ class ParameterError(OmnimanError, ValueError):
 
     Attributes:
         name: Full name of the parameter, groups joined by dots.
-        value: Value that was refused.
-        reason: Why it was refused.
     """
 
     def __init__(self, name: str, value: object, reason: str) -> None:
@@ -41,9 +39,7 @@ class FileError(OmnimanError):
     """A file cannot be used as what it is given for.
 
     Attributes:
-        file: Path of the file.
         line: Line at fault, counted from 1; None if it is not one line.
-        reason: What is wrong.
     """
 
     def __init__(self, file: str, line: int | None, reason: str) -> None:

@@ -19,13 +19,10 @@ class CmdVelFraming:
         self._remaining = 0
 
     def next(self, twist: Twist | None) -> Twist | None:
-        """Return the twist to publish in this tick.
+        """Return the twist to publish in this tick; None if nothing is to be published.
 
         Args:
             twist: Demanded twist, or None if none is demanded (no key is held).
-
-        Returns:
-            The twist, or None if nothing is to be published.
         """
         if twist is not None and self._remaining:
             self._remaining = self._zeros

@@ -102,12 +102,7 @@ class Hermite:
         return c2, c3, c4, c5
 
     def _polynomial(self, i: int, t: float, span: float) -> tuple[Array, Array, Array]:
-        """Return position, velocity and acceleration (d,) at a time in a segment.
-
-        Args:
-            t: Time since the start of the segment [s].
-            span: Duration of the segment [s].
-        """
+        """Return position, velocity and acceleration (d,) at a time in a segment."""
         x0, v0, u = self._positions[i], self._velocities[i], t / span
         c2, c3, c4, c5 = self._coefficients(i, span)
         position = x0 + v0 * t + u * u * (c2 + u * (c3 + u * (c4 + u * c5)))

@@ -25,7 +25,6 @@ class LateDelivery:
 
         Args:
             sent: Time of sending by the sender's clock, whose offset is unknown [s].
-            now: Time of arrival [s].
             tolerance: Delay up to which a message is not late [s].
         """
         interval, elapsed = sent - self._sent, now - self._arrival

@@ -36,9 +36,6 @@ class MotionLimit:
     publishers, whose messages cannot be told apart, the smallest share of all fresh messages
     counts: no publisher can loosen the limit of another one.
 
-    Args:
-        parameters: Whether there is a limit, and what applies without its messages.
-
     Attributes:
         parameters: May be changed at any time.
     """
@@ -54,9 +51,7 @@ class MotionLimit:
         """Set the limit.
 
         Args:
-            share: Share of the speed limits, 0 to 1.
             sent: When it was sent [s]; if that is ahead of now, now counts.
-            now: Time of arrival [s].
             publishers: Number of publishers from which it may have come.
 
         Raises:
@@ -81,7 +76,6 @@ class MotionLimit:
             insort(self._kept, (time, share))
 
     def _fresh(self, now: float) -> list[tuple[float, float]]:
-        """Return the messages that count at a time [s]; none if time went back behind them."""
         timeout = self.parameters.timeout
         return [kept for kept in self._kept if -timeout <= now - kept[0] <= timeout]
 

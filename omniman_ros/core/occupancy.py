@@ -117,11 +117,7 @@ def cells_of(data: NDArray[np.int8], width: int, height: int) -> Cells:
 
 
 def changed_cells(before: Cells, after: Cells) -> tuple[slice, slice] | None:
-    """Return the rows and columns of the smallest rectangle with all changes; None without any.
-
-    Args:
-        before: (rows, columns) occupancies [%].
-    """
+    """Return the rows and columns of the smallest rectangle with all changes; None without any."""
     differs = before != after
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     if not len(rows):
@@ -130,7 +126,6 @@ def changed_cells(before: Cells, after: Cells) -> tuple[slice, slice] | None:
 
 
 def _checked(values: Cells) -> Cells:
-    """Return cells of two axes that nobody can change."""
     cells: Cells = np.asarray(values, dtype=np.int8)
     if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:
         raise InputError(

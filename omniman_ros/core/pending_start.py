@@ -36,7 +36,6 @@ class PendingStart:
     """Slot for at most one motion that waits to be started.
 
     Args:
-        clock: Returns the current time [s].
         stream_monitor: Provides the time that a new stream must wait until it is accepted [s].
     """
 
@@ -70,15 +69,13 @@ class PendingStart:
     def attempt(self, refusal: str, blocking_reason: Callable[[], str]) -> StartAttempt:
         """Start the pending motion if the robot is ready for it.
 
-        The motion is refused at once for a reason in `refusal`, and after the timeout for one
-        that `blocking_reason` returns.
+        The motion is refused at once for a reason in `refusal`, and after the timeout for one that
+        `blocking_reason` returns. The motion is no longer pending unless the outcome is that it is
+        still waiting.
 
         Args:
             refusal: Reason for which the motion can never start, or an empty string.
             blocking_reason: Returns why the motion cannot start yet, or an empty string.
-
-        Returns:
-            Outcome of the attempt. The motion is no longer pending unless it is still waiting.
         """
         if self._start is None:
             return StartAttempt(StartState.NOTHING_PENDING)

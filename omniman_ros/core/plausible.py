@@ -24,7 +24,6 @@ def demand(values: Array, bound: float, label: str) -> None:
 
     Args:
         bound: Largest plausible magnitude, in the unit of the values.
-        label: Name of the values in the error message.
 
     Raises:
         InputError: A value is NaN, infinite or beyond the bound. The message has the label and

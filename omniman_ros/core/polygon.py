@@ -10,21 +10,13 @@ LEAST_WIDTH = 1e-5  #: Width of a slab up to which it is left out [m]
 
 
 def signed_area(corners: Array) -> float:
-    """Return the area of a polygon [m^2], above zero if its corners are counter-clockwise.
-
-    Args:
-        corners: Corners (K, 2) [m].
-    """
+    """Return the area of a polygon (K, 2) [m^2], above zero if it is counter-clockwise."""
     x, y = corners[:, 0], corners[:, 1]
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def is_simple(corners: Array) -> bool:
-    """Return whether the sides of a polygon meet only where neighbours have their corner.
-
-    Args:
-        corners: Corners (K, 2), three or more [m].
-    """
+    """Return whether sides of a polygon (K, 2) meet only where neighbours have their corner."""
     count = len(corners)
     start, along = corners, np.roll(corners, -1, axis=0) - corners
     ahead = np.roll(along, -1, axis=0)
@@ -45,13 +37,12 @@ def is_simple(corners: Array) -> bool:
 
 
 def trapezoids(corners: Array, cuts: Sequence[float] = ()) -> list[Array]:
-    """Return trapezoids (4, 2) whose union is a simple polygon, convex or not [m].
+    """Return trapezoids (4, 2) whose union is a simple polygon (K, 2), convex or not [m].
 
     Lines along y through all corners divide the polygon into slabs, in each of which its sides
     bound trapezoids in pairs.
 
     Args:
-        corners: Corners (K, 2) of the polygon in order [m].
         cuts: Places along x of further lines [m].
     """
     found = []

@@ -137,7 +137,6 @@ def heading(rotation: Quaternion) -> float:
 
 
 def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Return the quaternion of the rotation `b` followed by the rotation `a`."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (

@@ -289,7 +289,6 @@ class Robot:
             object.__setattr__(self, group, self._broadcast(group, getattr(self, group)))
 
     def _broadcast(self, prefix: str, group: Group) -> Group:
-        """Return a group with every array broadcast to n values."""
         n = len(self.wheels.names)
         arrays: dict[str, Any] = {}
         for key, value in flatten(group).items():

@@ -37,12 +37,7 @@ def demand_not_ahead(lead: float, most: float) -> None:
 def comparable(time: float | None, now: float) -> float | None:
     """Return the time of something that is kept, if later stamps can be compared with it.
 
-    Args:
-        time: Its stamp [s]; None without one.
-        now: Present time, on the same clock [s].
-
-    Returns:
-        The time; None without one, or if it is ahead, as after the clock went back.
+    It is None without a stamp, or if it is ahead, as after the clock went back.
     """
     return time if time is not None and time <= now + MAX_LEAD else None
 
@@ -54,10 +49,6 @@ class ClockWatch:
         self._latest = -math.inf
 
     def went_back(self, now: float) -> bool:
-        """Return whether the clock went back by more than `TIME_JUMP` since the last call.
-
-        Args:
-            now: Present time [s].
-        """
+        """Return whether the clock went back by more than `TIME_JUMP` since the last call."""
         latest, self._latest = self._latest, now
         return now < latest - TIME_JUMP

@@ -67,11 +67,7 @@ class StopLatch:
         return StopStatus(StopState.RUNNING, "")
 
     def stop(self, cause: str) -> bool:
-        """Latch a stop; the first cause is kept.
-
-        Returns:
-            Whether the node was not stopped before.
-        """
+        """Latch a stop, whose first cause is kept; return whether there was none before."""
         new = not self._cause
         self._cause = self._cause or cause
         return new
@@ -81,11 +77,7 @@ class StopLatch:
         self._is_ending |= self.stop(f"shutting down: {reason}")
 
     def set_emergency(self, active: bool) -> bool:
-        """Set the state of the emergency stop; an inactive one releases nothing.
-
-        Returns:
-            Whether the call latched a stop.
-        """
+        """Set the emergency stop, whose end releases nothing; return whether it latched a stop."""
         self._emergency = active
         return self.stop("emergency_stop") if active else False
 

@@ -63,8 +63,6 @@ class Placement:
 
 @dataclass(slots=True)
 class _Frame:
-    """A frame, its parent, and its transforms into the parent over time."""
-
     parent: str  #: Name of the parent
     is_static: bool  #: Whether the first transform holds for ever
     times: list[float] = field(default_factory=list)  #: Times of the transforms [s], increasing
@@ -165,8 +163,6 @@ class TransformTree:
         """Return the transform that takes coordinates of `source` to `target`.
 
         Args:
-            target: Name of the frame to transform into.
-            source: Name of the frame to transform from.
             time: Time at which the transform holds [s]; None for the newest one of each frame.
 
         Raises:
@@ -209,7 +205,6 @@ class TransformTree:
         return name in self._frames
 
     def _chain(self, name: str) -> list[str]:
-        """Return the names from a frame to the root."""
         chain = [name]
         while (frame := self._frames.get(chain[-1])) is not None:
             chain.append(frame.parent)
@@ -233,7 +228,6 @@ class TransformTree:
         return name in self._frames or any(f.parent == name for f in self._frames.values())
 
     def _to_ancestor(self, chain: Iterable[str], ancestor: str, time: float | None) -> Transform:
-        """Return the transform from the first frame of a chain to one of the others."""
         result = Transform()
         for name in chain:
             if name == ancestor:
@@ -243,11 +237,7 @@ class TransformTree:
 
 
 def _check(parent: str, child: str, time: float, transform: Transform) -> None:
-    """Check a transform that comes in.
-
-    Raises:
-        InputError: See `TransformTree.insert`.
-    """
+    """Check a transform that comes in."""
     if not parent or not child or parent == child:
         raise InputError(f"it has frames '{parent[:40]}' and '{child[:40]}'")
     plausible.demand(np.array(transform.translation), plausible.LENGTH, "translation")
@@ -257,7 +247,6 @@ def _check(parent: str, child: str, time: float, transform: Transform) -> None:
 
 
 def _normalised(transform: Transform) -> Transform:
-    """Return a transform whose rotation has exactly unit length."""
     x, y, z, w = transform.rotation
     length = math.hypot(*transform.rotation)
     rotation = (x / length, y / length, z / length, w / length)
