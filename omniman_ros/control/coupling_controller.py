@@ -87,10 +87,6 @@ class CouplingController:
         With the lag t, the mean contact of a wheel of radius r and speed phi' is to the right of
         its middle by t s r phi', where s = +-1 is the sign of its roller angle. On a platform that
         rotates with w, (8) then gives the wheel t s phi' w more speed; epsilon' is T times that.
-
-        Args:
-            wheel_speeds: Wheel speeds (n,) [rad/s].
-            yaw_rate: Yaw rate w of the platform [rad/s].
         """
         rate: Array = yaw_rate * (self._lag @ wheel_speeds)
         return rate
@@ -113,10 +109,6 @@ class CouplingController:
 
         The authority bounds it with one factor for all wheels, so that it fades with the speed,
         never moves a platform at rest, and never adds a motion of the platform.
-
-        Args:
-            wheel_speeds: Wheel speeds (n,) by inverse kinematics [rad/s].
-            yaw_rate: Yaw rate of the platform [rad/s].
         """
         p = self._parameters
         rate = self.expected_rate(wheel_speeds, yaw_rate) - p.k_epsilon * self.error

@@ -110,10 +110,6 @@ def torque_probe(model: PlatformKinematics, wheel: int, torque: float) -> Array:
     They are along the constraints, J' tau = 0, if these leave enough of the wheel's torque open.
     Otherwise (three wheels have no constraints) only this wheel gets a torque, whose alternating
     sign cancels the motion.
-
-    Args:
-        model: Kinematics of the wheels that drive.
-        torque: Torque of that wheel [N m].
     """
     single = np.zeros(model.wheel_count)
     single[wheel] = 1.0
@@ -127,7 +123,6 @@ class Probe:
 
     Args:
         torque: Torques of the probe (n,) [N m].
-        start: Time at which the probe starts [s].
         part: Duration of each of its four parts [s].
         settling_share: Share of each part in which the drive settles.
 
@@ -177,12 +172,9 @@ class Probe:
         return responded
 
     def response(self) -> Array | None:
-        """Return the RMS over the parts of the mean torque in each (n,) [N m].
+        """Return the RMS of each part's mean torque (n,) [N m]; None with too few reports.
 
         A wheel that follows its command shows at least the torque of the probe.
-
-        Returns:
-            The response, or None if there were too few reports.
         """
         if min(self._counts) < MIN_REPORTS:
             return None
@@ -196,7 +188,6 @@ class DeadWheelDetector:
 
     Args:
         limit: Largest torques (n,) [N m].
-        model: Kinematics of the wheels that drive.
 
     Attributes:
         torque: Measured torques (n,), filtered [N m].
@@ -237,7 +228,6 @@ class DeadWheelDetector:
         """Process the torques that the drives report.
 
         Args:
-            time: Time of the measurement [s].
             effort: Torques (n,) [N m]. None, or a number that is not finite, means that the
                 drives do not report them.
         """
@@ -266,17 +256,12 @@ class DeadWheelDetector:
     def update(
         self, demand: Array, reference: Array, error: Array, now: float, dt: float
     ) -> tuple[int, ...]:
-        """Judge the wheels; call this once a tick while they are driven.
+        """Return the indices of wheels found dead; call this once a tick while they are driven.
 
         Args:
             demand: Demanded torques (n,) [N m].
             reference: Demanded speeds (n,) [rad/s].
             error: Demanded minus measured speeds (n,) [rad/s].
-            now: Time [s].
-            dt: Time since the last call [s].
-
-        Returns:
-            Indices of the wheels found dead.
         """
         if not self.reported:
             return ()  # a probe continues: a report may lack torques occasionally
@@ -308,13 +293,7 @@ class DeadWheelDetector:
         return ()
 
     def _begin_probe(self, suspects: Flags, magnitude: Array, now: float, dt: float) -> None:
-        """Begin to probe the suspect with the smallest torque; this judges other suspects, too.
-
-        Args:
-            magnitude: Magnitude of the measured torques (n,) [N m].
-            now: Time [s].
-            dt: Time since the last update [s].
-        """
+        """Begin to probe the suspect with the smallest torque; this judges other suspects, too."""
         parameters = self._parameters
         wheel = int(np.where(suspects, magnitude, np.inf).argmin())
         probe_torque = parameters.probe_torque * float(self._limit[wheel])
@@ -326,7 +305,6 @@ class DeadWheelDetector:
         self._suspects, self._probe = suspects, Probe(torque, now, part, settling_share)
 
     def _judge(self, probe: Probe, braking: Flags) -> tuple[int, ...]:
-        """Return the indices of wheels that the probe shows dead, once it is over."""
         assert self._time is not None
         probed = self._suspects = self._suspects & probe.judged & ~braking
         if probed.any() and not probe.is_over(self._time):

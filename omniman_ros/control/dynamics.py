@@ -18,11 +18,7 @@ SIGN_WIDTH = 0.05
 
 
 def smooth_sign(speed: Array) -> Array:
-    """Return the smoothed sign s / sqrt(s^2 + w^2), w = SIGN_WIDTH, of each speed s.
-
-    Args:
-        speed: Speeds of any shape [rad/s or m/s].
-    """
+    """Return the smoothed sign s / sqrt(s^2 + w^2), w = SIGN_WIDTH, of speeds s [rad/s or m/s]."""
     result: Array = speed / np.sqrt(speed * speed + SIGN_WIDTH * SIGN_WIDTH)
     return result
 
@@ -31,9 +27,6 @@ class PlatformDynamics:
     """Computes wheel torques for a motion of the platform, and motor currents and voltages.
 
     Idle wheels of the kinematics get no torque: the other wheels drag them along.
-
-    Args:
-        kinematics: Kinematics of its n wheels.
 
     Attributes:
         mass_matrix: Mass matrix M (3, 3) about base_link's origin, arm included
@@ -113,13 +106,7 @@ class PlatformDynamics:
         return torque
 
     def body_wrench(self, twist: Array, twist_rate: Array) -> Array:
-        """Return the wrench (3,) in base_link that moves platform and arm [N, N, N m].
-
-        Args:
-            twist: Twist x'_R (3,) in base_link [m/s, m/s, rad/s].
-            twist_rate: Derivative (3,) of its components in base_link, CCTA (20)
-                [m/s^2, m/s^2, rad/s^2].
-        """
+        """Return the wrench (3,) in base_link that moves platform and arm [N, N, N m]."""
         vx, vy, w = twist.tolist()
         inertial = twist_rate + np.array([-w * vy, w * vx, 0.0])
         wrench: Array = self.mass_matrix @ inertial - (w * w) * self._moment
@@ -154,7 +141,6 @@ class PlatformDynamics:
 
         Args:
             twist: Twist (3,) in base_link [m/s, m/s, rad/s], for the speeds of the rollers.
-            wheel_speeds: Wheel speeds (n,) [rad/s].
         """
         drag = self._drag * smooth_sign(self.rolling @ twist)
         shaft = self._viscous * wheel_speeds + self._coulomb * smooth_sign(wheel_speeds)
@@ -164,14 +150,10 @@ class PlatformDynamics:
         return torque
 
     def current(self, torque: Array, wheel_speeds: Array) -> Array:
-        """Return armature currents (n,) [A], CCTA (21) with the gear.
+        """Return armature currents (n,) [A] at torques [N m] and speeds [rad/s], CCTA (21).
 
-        The gear's efficiency eta raises the current of a driving motor to 1 / eta of that without
+        The efficiency eta of the gear, which is included, raises the current of a driving motor to 1 / eta of that without
         losses, and lowers that of a braking motor to eta.
-
-        Args:
-            torque: Wheel torques (n,) [N m].
-            wheel_speeds: Wheel speeds (n,) [rad/s].
         """
         motor = self._motor
         gain = motor.gear_ratio * motor.torque_constant
@@ -181,14 +163,7 @@ class PlatformDynamics:
         return result
 
     def voltage_torques(self, wheel_speeds: Array) -> tuple[Array, Array]:
-        """Return the smallest and largest torques within the voltage and current limits.
-
-        Args:
-            wheel_speeds: Wheel speeds (n,) [rad/s].
-
-        Returns:
-            Smallest and largest wheel torques, (n,) each [N m].
-        """
+        """Return the least and greatest torques (n,) [N m] within voltage and current limits."""
         limit = self._motor.max_voltage
         return self.torque_of(-limit, wheel_speeds), self.torque_of(limit, wheel_speeds)
 
@@ -197,7 +172,6 @@ class PlatformDynamics:
 
         Args:
             volts: Motor voltages (n,) [V], or a single voltage for all motors.
-            wheel_speeds: Wheel speeds (n,) [rad/s].
         """
         motor = self._motor
         gain = motor.gear_ratio * motor.torque_constant
@@ -210,12 +184,7 @@ class PlatformDynamics:
         return torque
 
     def voltage(self, torque: Array, wheel_speeds: Array) -> Array:
-        """Return motor voltages (n,) [V], CCTA (22) at constant current, within the voltage limit.
-
-        Args:
-            torque: Wheel torques (n,) [N m].
-            wheel_speeds: Wheel speeds (n,) [rad/s].
-        """
+        """Return motor voltages (n,) [V], CCTA (22) at constant current, within their limit."""
         motor = self._motor
         emf = motor.gear_ratio * motor.torque_constant * wheel_speeds
         volts = motor.resistance * self.current(torque, wheel_speeds) + emf
@@ -233,9 +202,6 @@ class PlatformDynamics:
         large, so the direction of the acceleration is kept.
 
         Args:
-            volts: Motor voltages (n,) [V].
-            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
-            wheel_speeds: Wheel speeds (n,) [rad/s].
             limit: Linear and angular limit of the rate of the twist [m/s^2, rad/s^2].
         """
         hold = self.platform_torque(twist, np.zeros(3)) + self.friction_torque(twist, wheel_speeds)

@@ -29,9 +29,6 @@ class ExternalForceObserver:
     platform's momentum, but what a wheel does not need for itself still acts on the floor: for
     wheels that slip at a steady speed the estimate holds.
 
-    Args:
-        kinematics: Kinematics of the n wheels.
-
     Attributes:
         external: Estimated external wrench r (3,) in base_link [N, N, N m].
         motors: Wrench (3,) of the motors, through the same filter [N, N, N m].
@@ -68,13 +65,7 @@ class ExternalForceObserver:
         self.external, self.motors = np.zeros(3), np.zeros(3)
 
     def update(self, time: float, speeds: Array, torque: Array) -> None:
-        """Process a report of the drives.
-
-        Args:
-            time: Time of the measurement [s]; after the last one.
-            speeds: Wheel speeds (n,) [rad/s].
-            torque: Wheel torques (n,) [N m].
-        """
+        """Process newer speeds (n,) [rad/s] and torques (n,) [N m] of the wheels."""
         linear = self._of_speeds @ speeds
         momentum = linear[3:6]
         if self._time is not None:

@@ -52,12 +52,8 @@ class PreviewFollower:
         """Return the twist (3,) and its rate (3,), both in base_link [m/s, rad/s and per second].
 
         Args:
-            preview: Reference in odom.
             measured: Time of their measurement [s].
             setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
-            limits: Limits that the twist respects.
-            now: Time [s].
-            dt: Time since the last step [s].
 
         Raises:
             FollowingError: The following error exceeds its limits.

@@ -83,11 +83,7 @@ class Persistence:
         self._duration = 0.0
 
     def update(self, condition: bool, dt: float) -> float:
-        """Return the time for which the condition has been true, less that since it was [s].
-
-        Args:
-            dt: Time since the last call [s].
-        """
+        """Return the time for which the condition has been true, less that since it was [s]."""
         self._duration = max(0.0, self._duration + (dt if condition else -dt))
         return self._duration
 
@@ -99,13 +95,7 @@ class HeldRobotDetector:
     external force or torque against them is above the threshold as well. A robot whose wheels
     brake, on blocks or in a skid, is thus not held: its motors give less than its motion needs.
 
-    Args:
-        kinematics: Kinematics of the n wheels.
-
     Attributes:
-        observer: Estimate of the external wrench.
-        comparison: Differences between the motions of wheels and inertial sensor.
-        held: Whether the last :meth:`check` found the robot held.
         torque_reported: Whether the last report had torques; without them there is no estimate.
     """
 
@@ -149,8 +139,6 @@ class HeldRobotDetector:
         """Process a report of the drives.
 
         Args:
-            time: Time of the measurement [s].
-            speeds: Wheel speeds (n,) [rad/s].
             effort: Wheel torques (n,) [N m]. None, or numbers that are not finite or implausible,
                 mean that the drives do not report them: the estimate then begins anew.
         """
@@ -164,30 +152,16 @@ class HeldRobotDetector:
         self._time = time
 
     def update_motion(self, dt: float, odometry: Odometry, inertial: InertialStep | None) -> None:
-        """Process a step between two reports of the wheels.
-
-        Args:
-            dt: Duration of the step [s].
-            odometry: Odometry that has processed the step.
-            inertial: What an inertial sensor measured in the step; None if nothing.
-        """
+        """Process a step between two reports of the wheels."""
         self.comparison.update(dt, odometry, inertial)
 
     def check(self, dt: float) -> str:
-        """Judge the robot; call this once a tick while it is to move.
-
-        Args:
-            dt: Time since the last call [s].
-
-        Returns:
-            Why it counts as held; empty if it does not.
-        """
+        """Return why the robot counts as held, if it does; call this once a tick of a motion."""
         reason = self._forced(dt) or self._contradicted(dt)
         self.held = bool(reason)
         return reason
 
     def _forced(self, dt: float) -> str:
-        """Return why forces say that the robot is held; empty if they do not."""
         p = self._parameters
         push_x, push_y, turn = self.observer.motors.tolist()
         external_x, external_y, external_turn = self.observer.external.tolist()
@@ -207,7 +181,6 @@ class HeldRobotDetector:
         return ""
 
     def _contradicted(self, dt: float) -> str:
-        """Return why an inertial sensor says that the robot is held; empty if it does not."""
         p, comparison = self._parameters, self.comparison
         lost = math.hypot(*comparison.velocity.tolist())
         if self._lost.update(lost > p.speed, dt) > IMPACT_TIME:

@@ -83,12 +83,7 @@ class ImuFeedback:
     Between two measurements the last one is held; the next one corrects the integral, so that
     nothing is lost or counted twice.
 
-    Args:
-        parameters: Mounting, time-out and noise.
-
     Attributes:
-        parameters: Mounting, time-out and noise.
-        received: Whether a measurement was received.
         fault: Why no measurements were used at the last :meth:`take`; empty if they were.
     """
 
@@ -121,7 +116,6 @@ class ImuFeedback:
 
         Args:
             time: Time of the measurement [s]; at most `now` counts.
-            now: Time of arrival [s].
             rate: Angular velocity (3,) in the sensor's frame [rad/s].
             acceleration: Specific force (3,) in the sensor's frame, at rest g upward [m/s^2].
 
@@ -157,7 +151,6 @@ class ImuFeedback:
 
         Args:
             time: Time up to which the motion is wanted [s].
-            now: Present time [s].
             speeds: Wheel speeds (n,), by which a sensor shows that it is frozen [rad/s].
         """
         self.fault = self._present_fault(now, speeds)
@@ -181,7 +174,6 @@ class ImuFeedback:
         )
 
     def _present_fault(self, now: float, speeds: Array) -> str:
-        """Return why the measurements are not used at `now`; empty if they are."""
         if not self.received:
             return NONE_YET
         age = now - min(self._arrival, self._time)

@@ -66,9 +66,6 @@ class PlatformKinematics:
         unconstrained: Indices of wheels that drive, but that no constraint depends on: their slip
             does not show. With three wheels all are, with four some may be.
 
-    Args:
-        idle: Indices of the idle wheels, see above.
-
     Raises:
         GeometryError: A wheel cannot drive (gamma at +-90 degrees), or the wheels together cannot
             move the platform in all three directions (rank of J below 3).
@@ -125,9 +122,7 @@ class PlatformKinematics:
 
         Lengths are scaled by the platform's size. Four equal Mecanum wheels keep 0.54 without one
         of them. The count does not tell: of eight wheels, the four with parallel rollers keep 0.
-
-        Returns:
-            The share; 0 if the other wheels do not determine the twist.
+        The share is 0 if the other wheels do not determine the twist.
         """
         scaled = self.J * [1.0, 1.0, 1.0 / self._size]
         remaining = np.delete(scaled, sorted(idle), axis=0)
@@ -161,7 +156,6 @@ class PlatformKinematics:
 
 
 def _frozen(array: Any) -> Array:
-    """Return a read-only array."""
     frozen: Array = np.ascontiguousarray(array, dtype=np.float64)
     frozen.setflags(write=False)
     return frozen

@@ -103,9 +103,7 @@ def ramp_down(twist: Array, deceleration: Pair, dt: float) -> Array:
     Exactly zero is reached after ratio(twist, deceleration) seconds.
 
     Args:
-        twist: Present twist (3,) [m/s, m/s, rad/s].
         deceleration: Linear and angular limit [m/s^2, rad/s^2].
-        dt: Time step [s].
     """
     stop_time = ratio(twist, deceleration)
     return twist * (1.0 - dt / stop_time) if stop_time > dt else np.zeros(3)
@@ -116,16 +114,12 @@ def slowed(
 ) -> Array:
     """Return a twist (3,) scaled down to a share of the velocity limits, which may fall suddenly.
 
+    A twist within the share of the limits stays the same.
+
     Args:
-        twist: Twist (3,) to limit [m/s, m/s, rad/s].
         before: Twist (3,) of the last step, from which it decelerates.
         velocity: Linear and angular limit of the velocity [m/s, rad/s].
         deceleration: Linear and angular limit of the deceleration [m/s^2, rad/s^2].
-        share: Share of the velocity limits, 0 to 1.
-        dt: Time step [s].
-
-    Returns:
-        The same twist if it is within the share of the limits.
     """
     used = ratio(twist, velocity)
     if used <= share:

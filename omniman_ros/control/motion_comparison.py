@@ -36,13 +36,7 @@ class MotionComparison:
         self._before: Array | None = None
 
     def update(self, dt: float, odometry: Odometry, inertial: InertialStep | None) -> None:
-        """Process a step between two reports of the wheels.
-
-        Args:
-            dt: Duration of the step [s].
-            odometry: Odometry that has processed the step.
-            inertial: What was measured in the step; None if nothing was.
-        """
+        """Process a step between two reports of the wheels."""
         if inertial is None:
             if self._before is not None:
                 self.restart()

@@ -205,7 +205,6 @@ class Odometry:
         """Set the pose; the twist is kept.
 
         Args:
-            pose: Pose x, y, theta in odom [m, m, rad].
             covariance: Covariance (3, 3) of the pose; None means zero.
 
         Raises:
@@ -247,7 +246,6 @@ class Odometry:
             wheel_steps: Rotation (n,) of each wheel since the last update [rad].
             wheel_speeds: Speed (n,) of each wheel now [rad/s], for the twist.
             dt: Time since the last update [s], above 0.
-            inertial: Rotation measured in that time, or None if it was not measured.
             unknown: Rotation (n,) of each wheel that may be missing [rad], if the way of the
                 motion from the last update to this one is not known; else None.
 
@@ -300,11 +298,6 @@ class Odometry:
 
         The ends of an arc and of a straight way with the turn before or after it are half of
         travel times turn apart.
-
-        Args:
-            unknown: Rotation (n,) of each wheel that may be missing [rad].
-            travel: Distance between the ends of the way [m].
-            turn: Change of the heading [rad].
         """
         x, y, theta = (np.abs(self._forward[:3]) @ unknown).tolist()
         bend = 0.5 * travel * min(abs(turn), math.pi)

@@ -73,11 +73,7 @@ class PoseCovariance:
             self._bias[:2] = xb + a * tb, yb + b * tb
 
     def rotate_by_rate(self, dt: float) -> None:
-        """Process a rotation measured as a rate: it lost dt times the error of the bias.
-
-        Args:
-            dt: Duration of the rotation [s].
-        """
+        """Process a rotation measured as a rate: it lost dt times the error of the bias."""
         assert self._bias is not None
         xb, yb, tb, bb = self._bias
         self._pose[3] -= dt * xb

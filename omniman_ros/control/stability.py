@@ -57,7 +57,6 @@ class SupportModel:
     springs under the wheels (a rigid chassis on more than three wheels does not determine them).
 
     Args:
-        robot: The robot, with the arm in its present posture.
         kinematics: Kinematics of its n wheels, all of which drive: dead wheels have limits of
             their own.
         mass_matrix: Mass matrix (3, 3) of the robot about base_link's origin.
@@ -93,7 +92,6 @@ class SupportModel:
         Args:
             acceleration: Acceleration (3,) of base_link's origin in space, in base_link, and of
                 the yaw [m/s^2, m/s^2, rad/s^2].
-            yaw_rate: Yaw rate [rad/s].
         """
         result: Array = self._rest + self._shift @ acceleration + yaw_rate**2 * self._spin
         return result
@@ -126,14 +124,9 @@ class SupportModel:
 
         For the margin it is in any direction, with the centripetal acceleration of the largest
         speeds. For the grip, force of each wheel at most mu times its load, which also keeps all
-        wheels on the floor, it is without: a robot that slips in a curve finds grip again.
-
-        Args:
-            margin: Smallest margin [m].
-
-        Returns:
-            The share, above 1 if the limits leave more than that. It is not positive if the robot
-            does not have the margin, or a wheel no load, at rest.
+        wheels on the floor, it is without: a robot that slips in a curve finds grip again. The
+        share is above 1 if the limits leave more than that. It is not positive if the robot does
+        not have the margin, or a wheel no load, at rest.
         """
         linear, yaw = map(max, limits.acceleration, limits.deceleration)
         speed, turn = limits.velocity
@@ -156,7 +149,6 @@ class StabilityLimiter:
     more.
 
     Attributes:
-        support: What the wheels bear in the present posture; None without an arm.
         share: Share of the limits of acceleration in use, from MIN_SHARE to 1.
     """
 
@@ -170,8 +162,6 @@ class StabilityLimiter:
         """Set what the wheels bear now, and return the limits of the twist that this leaves.
 
         Args:
-            parameters: How much stability accelerations may use.
-            support: What the wheels bear; None without an arm.
             limits: Limits of the twist for a robot that cannot tip over.
         """
         self.support = support
@@ -230,7 +220,6 @@ def support_edges(points: Array) -> tuple[Array, Array]:
 
 
 def _smallest_ratio(spare: Array, used: Array) -> float:
-    """Return the smallest of spare / used; infinity where nothing is used of what is spare."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(used > 0.0, spare / used, np.where(spare > 0.0, np.inf, 0.0))
     return float(ratios.min())

@@ -55,7 +55,6 @@ class WheelCascade:
         kinematics: Kinematics with calibrated wheel radii.
         whole: The same without idle wheels.
         dynamics: Dynamics with calibrated wheel radii; idle wheels get no torque.
-        coupling: Controller of the coupling error epsilon.
         reference: Wheel speeds (n,) that the last command demands [rad/s].
         demanded_torque: Wheel torques (n,) that it demands [N m]; in velocity mode those that the
             model computes.
@@ -75,7 +74,6 @@ class WheelCascade:
         self.saturated = False
 
     def _set_models(self, parameters: PlatformParameters, idle: Collection[int]) -> None:
-        """Build the models; raises the errors of :meth:`configure`."""
         robot = parameters.odometry.calibrated(parameters.robot)
         whole = PlatformKinematics(robot.wheels)
         if idle and whole.remaining_share(idle) < MIN_REMAINING_SHARE:
@@ -117,20 +115,13 @@ class WheelCascade:
         """Return a twist (3,) scaled down so that no wheel exceeds its largest speed.
 
         Sets `saturated`.
-
-        Args:
-            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
         """
         scale = saturation(self.kinematics.J @ twist, self._parameters.robot.motor.max_speed)
         self.saturated = scale < 1.0
         return twist * scale
 
     def rest_command(self, measured: Array) -> WheelCommand:
-        """Return a command of zero speeds; tell the coupling controller once the wheels rest.
-
-        Args:
-            measured: Measured wheel speeds (n,) [rad/s].
-        """
+        """Return a command of zero speeds; tell the coupling controller once the wheels rest."""
         self.reference = np.zeros_like(self.reference)
         self.demanded_torque = np.zeros_like(self.demanded_torque)
         self._wheels.reset()
@@ -144,11 +135,6 @@ class WheelCascade:
         """Return a command of motor voltages that were computed outside the cascade.
 
         The cascade follows the wheels meanwhile, so that it can take over at any time.
-
-        Args:
-            volts: Motor voltages (n,) [V].
-            measured: Measured wheel speeds (n,) [rad/s].
-            probe: Test torques (n,) to add [N m], or None.
         """
         self.reference = measured
         self.demanded_torque = self.dynamics.torque_of(volts, measured)
@@ -169,11 +155,7 @@ class WheelCascade:
         """Return the command for a reachable twist.
 
         Args:
-            twist: Twist (3,) in base_link [m/s, m/s, rad/s], as returned by :meth:`reachable`.
             rate: Derivative (3,) of its components in base_link [m/s^2, m/s^2, rad/s^2].
-            measured: Measured wheel speeds (n,) [rad/s].
-            mode: Quantity that the drives follow.
-            dt: Time since the last command [s].
             probe: Test torques (n,) to add [N m], even if feed-forward is off, or None.
         """
         wheel_speeds = self.kinematics.J @ twist

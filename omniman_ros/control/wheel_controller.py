@@ -57,10 +57,6 @@ class WheelController:
         """Return torques (n,) [N m] within the limits; saturated wheels do not wind up.
 
         Args:
-            reference: Demanded wheel speeds (n,) [rad/s].
-            measured: Measured wheel speeds (n,) [rad/s].
-            feed_forward: Computed torques (n,) [N m].
-            dt: Time since the last call [s].
             limits: Smallest and largest torques (n,) [N m] if they are tighter than those of the
                 current limit, else None.
         """

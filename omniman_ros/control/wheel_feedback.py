@@ -41,7 +41,6 @@ class WheelFeedback:
     """Converts reports of the drives to steps for the odometry.
 
     Args:
-        count: Number of wheels n.
         span: Range after which positions wrap around [rad]; 0 if they do not.
         max_speed: Largest speed of a wheel [rad/s]; positions that change much faster count as
             reset by the drive.
@@ -94,16 +93,11 @@ class WheelFeedback:
     def update(
         self, time: float, now: float, position: Array | None, velocity: Array | None
     ) -> WheelStep | None:
-        """Process a report of the drives.
+        """Return the step from the last report of the drives to this one; None for the first.
 
         Args:
-            time: Time of the measurement [s].
-            now: Time of arrival [s].
             position: Wheel positions (n,) [rad], or None if they are not reported.
             velocity: Wheel speeds (n,) [rad/s], or None if they are not reported.
-
-        Returns:
-            The step since the previous report; None if this is the first report.
 
         Raises:
             InputError: An array has the wrong size or values that are not finite or implausibly
@@ -142,11 +136,6 @@ class WheelFeedback:
         wheel has turned as if at speeds between those before and after, and zero: those of drives
         that went on, or came to rest. Positions that the drives have begun anew differ from that;
         those of a drive that is known to have restarted do not count.
-
-        Args:
-            moved: Change of the positions (n,) [rad], or None if they are not reported.
-            last_speeds: Speeds (n,) at the report before [rad/s].
-            dt: Time since that report [s].
         """
         still = np.zeros(self._count)
         low, high = (
@@ -168,11 +157,7 @@ class WheelFeedback:
         return WheelStep(still, self.speeds, dt, high - low, warning)
 
     def _validate(self, time: float, position: Array | None, velocity: Array | None) -> None:
-        """Check the content of a report, and that it is newer than the last one.
-
-        Raises:
-            InputError: See :meth:`update`.
-        """
+        """Check the content of a report, and that it is newer than the last one."""
         if position is None and velocity is None:
             raise InputError("wheel_states: has neither positions nor velocities")
         for label, array, bound in (
@@ -191,11 +176,7 @@ class WheelFeedback:
             raise InputError(f"wheel_states: out of order, {lag}")
 
     def _moved(self, position: Array | None) -> Array | None:
-        """Unwrap and store positions (n,) [rad].
-
-        Returns:
-            Rotation (n,) since the last report [rad]; None if either report has no positions.
-        """
+        """Unwrap and store positions; return the rotation (n,) [rad] since the last ones."""
         if position is not None and self._unwrapper is not None:
             position = self._unwrapper.update(position)
         before = self._position
@@ -212,7 +193,6 @@ class WheelFeedback:
         Args:
             difference: Rotation by the speeds minus that by the positions in this step (n,) [rad].
             largest: Largest possible rotation in this step (n,) [rad].
-            dt: Duration of this step [s].
         """
         decay = math.exp(-dt / DISAGREEMENT_TIME)
         self._drift = self._drift * decay + difference
@@ -225,12 +205,7 @@ class WheelFeedback:
         self.suspect = worst if excess[worst] > 0.0 else None
 
     def _discontinuity(self, moved: Array | None, dt: float) -> str:
-        """Return why the motion in a step is unknown, or an empty string if it is known.
-
-        Args:
-            moved: Rotation (n,) [rad], or None if no positions are reported.
-            dt: Duration of the step [s].
-        """
+        """Return why the motion in a step is unknown, or an empty string if it is known."""
         if dt > MAX_GAP:
             return f"no report for {dt:.2f} s"
         if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + MAX_JUMP:

@@ -33,11 +33,7 @@ WEAK_SHARE = 0.5
 
 
 class PersistenceMonitor:
-    """Finds a wheel for which a condition has been true for long enough.
-
-    Args:
-        count: Number of wheels n.
-    """
+    """Finds a wheel for which a condition has been true for long enough."""
 
     def __init__(self, count: int) -> None:
         self._duration: Array = np.zeros(count)
@@ -52,17 +48,12 @@ class PersistenceMonitor:
             self._any = False
 
     def update(self, condition: Flags | None, min_duration: float, dt: float) -> int | None:
-        """Process the present condition; restart the count once a wheel is found.
+        """Return the index of a wheel that is found, or None; the count of that wheel begins anew.
 
         A period counts if the condition was true at both its ends.
 
         Args:
             condition: (n,) bool, or None if the condition is true for no wheel.
-            min_duration: Duration after which a wheel is found [s].
-            dt: Time since the last call [s].
-
-        Returns:
-            Index of the wheel that was found, or None.
         """
         if condition is None or True not in condition.tolist():
             self.clear()
@@ -91,7 +82,6 @@ class WheelHealthMonitor:
         idle: Indices of wheels to drive without: named by `drive.dead`, or found dead.
         limit_scale: Factor on the velocity and acceleration limits [-]: 1, or less if wheels are
             idle.
-        limits: Limits of the twist: those of the parameters, scaled.
         all_blocked: Whether all driving wheels were found blocked at once: the robot is held.
         weak: Whether the driving wheels determine the twist weakly, see WEAK_SHARE.
     """
@@ -172,10 +162,6 @@ class WheelHealthMonitor:
     def update_torques(self, time: float, effort: Array | None) -> None:
         """Process the torques that the drives report.
 
-        Args:
-            time: Time of the measurement [s].
-            effort: Torques (n,) [N m], or None if the drives report none.
-
         Raises:
             InputError: The array has the wrong size.
         """
@@ -191,15 +177,10 @@ class WheelHealthMonitor:
     def check(
         self, cascade: WheelCascade, feedback: WheelFeedback, driven: bool, now: float, dt: float
     ) -> str:
-        """Judge the wheels; call this once a tick. `idle` may grow.
+        """Return why the robot must stop, if it must; call this once a tick. `idle` may grow.
 
         Args:
             cascade: Cascade with the wheel speeds and torques that the last tick demanded.
-            now: Time [s].
-            dt: Time since the last call [s].
-
-        Returns:
-            Reason why the robot must stop; empty if it need not.
         """
         if feedback.suspect is not None:
             wheel = self._names[feedback.suspect]
@@ -226,7 +207,6 @@ class WheelHealthMonitor:
         return self._exclude(dead, cascade) if dead else ""
 
     def _blocked_reason(self, wheel: int, standing: Flags) -> str:
-        """Return why the robot must stop for a blocked wheel, or for all of them."""
         driving = len(self._names) - len(self.idle)
         self.all_blocked = int(standing.sum()) == driving
         if self.all_blocked:
@@ -234,12 +214,7 @@ class WheelHealthMonitor:
         return f"wheel '{self._names[wheel]}' is blocked: torque, but no speed"
 
     def rest_notice(self, reference: Array, speeds: Array) -> str:
-        """Return a clause about the wheels that stand still despite their reference speeds.
-
-        Args:
-            reference: Demanded speeds (n,) [rad/s].
-            speeds: Measured speeds (n,) [rad/s].
-        """
+        """Return a clause about the wheels that stand still despite their reference speeds."""
         resting = np.abs(speeds) <= np.maximum(REST_SHARE * np.abs(reference), REST_SPEED)
         if resting.all():
             return "all wheels stand still"
@@ -248,7 +223,6 @@ class WheelHealthMonitor:
         return f"{name_list(self._names, np.flatnonzero(resting).tolist())} at rest"
 
     def _standing(self, reference: Array, speeds: Array) -> Flags | None:
-        """Return (n,) bool: wheels at rest despite a torque along their reference."""
         torque = self._detector.torque
         if not self._detector.reported or _above(torque, self._min_blocked_torque) is None:
             return None
@@ -259,7 +233,6 @@ class WheelHealthMonitor:
         return standing
 
     def _exclude(self, dead: tuple[int, ...], cascade: WheelCascade) -> str:
-        """Make wheels that were found dead idle, or return why the robot must stop."""
         self.dead = tuple(sorted({*self.dead, *dead}))
         loss = f"{name_list(self._names, dead)} dead: no torque"
         if self._parameters.drive.dead_wheel == "stop":
@@ -273,7 +246,6 @@ class WheelHealthMonitor:
 
 
 def _above(values: Array, bound: float) -> Flags | None:
-    """Return (n,) bool: magnitudes above a bound; None (found faster) if there is none."""
     if max(map(abs, values.tolist())) <= bound:
         return None
     above: Flags = np.abs(values) > bound

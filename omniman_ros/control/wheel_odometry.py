@@ -38,12 +38,9 @@ class WheelOdometry:
     again, a clock is set back), the pose continues from where it is.
 
     Attributes:
-        odometry: Pose, twist and covariance.
-        feedback: Last feedback of the wheels.
         imu: Measurements of an inertial sensor; unused as long as there are none.
         coupling_error: Coupling error epsilon (m,), CCTA 2017 (24), since the wheels were last at
             rest for `REST_TIME` [rad].
-        idle: Indices of the wheels that are left out.
 
     Raises:
         GeometryError: The wheels do not make a platform.
@@ -89,7 +86,6 @@ class WheelOdometry:
         self._restart_coupling()  # Its errors belong to other constraints.
 
     def _kinematics(self) -> PlatformKinematics:
-        """Return the kinematics with calibrated wheel radii, without the idle wheels."""
         robot = self._parameters.odometry.calibrated(self._parameters.robot)
         return PlatformKinematics(robot.wheels, self.idle)
 
@@ -101,17 +97,12 @@ class WheelOdometry:
         velocity: Array | None,
         effort: Array | None = None,
     ) -> str:
-        """Process the state of the wheels; position or velocity must be present.
+        """Process positions or velocities of the wheels; return a warning to log, if any.
 
         Args:
-            time: Time of the measurement [s].
-            now: Time of arrival [s].
             position: Positions (n,) [rad], or None.
             velocity: Speeds (n,) [rad/s], or None.
             effort: Torques (n,) [N m], or None; the odometry does not need them.
-
-        Returns:
-            Warning to log, or an empty string.
 
         Raises:
             InputError: A size is wrong, a number is not finite, there is no content, or the state
@@ -155,7 +146,6 @@ class WheelOdometry:
         """Set the pose.
 
         Args:
-            pose: Pose x, y, theta in odom [m, m, rad].
             covariance: Covariance (3, 3) of the pose; None means zero.
 
         Raises:
