@@ -169,7 +169,6 @@ class Figure7:
         return legs
 
     def _preview(self, movement: Movement, begin: float, duration: float) -> Preview:
-        """Return a movement that starts at `begin` [s] and lasts for `duration` [s]."""
         time = np.linspace(0.0, duration, math.ceil(duration / SAMPLE_PERIOD) + 1)
         distance, speed, rate = (row[:, None] for row in self.law.at(time, movement.length))
         pose, slope, second = movement.at(distance[:, 0])

@@ -29,7 +29,6 @@ def max_utilisation(groups: Sequence[AxisGroup], values: Array, limits: Sequence
     """Return the largest utilisation (...) of any group's limit by vectors (..., d).
 
     Args:
-        values: Vectors (..., d).
         limits: Limit of the length of each group's part, in the unit of the values.
 
     Returns:

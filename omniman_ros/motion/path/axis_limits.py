@@ -113,7 +113,6 @@ class AxisLimits:
             )
 
     def _bounds(self, order: int, scale: float) -> tuple[Array, Array]:
-        """Return the range (d,) of the derivative of an order, whose limits are scaled."""
         if order == 0:
             return self.lower - ROUND_OFF, self.upper + ROUND_OFF
         high = scale * (self.velocity, self.acceleration, self.jerk)[order - 1]
@@ -121,6 +120,5 @@ class AxisLimits:
 
 
 def _floats(row: tuple[float, ...]) -> tuple[float, float, float]:
-    """Return limits of velocity, acceleration and jerk as Python floats."""
     velocity, acceleration, jerk = row
     return float(velocity), float(acceleration), float(jerk)

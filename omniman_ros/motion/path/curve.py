@@ -88,7 +88,6 @@ class Curve:
 
 
 def _framed(first: Array, before: Array, after: Array, last: Array) -> Array:
-    """Interleave the rows of `before` and `after` between the first and the last row."""
     inner = np.stack([before, after], axis=1).reshape(-1, first.shape[1])
     return np.vstack([first, inner, last])
 

@@ -53,13 +53,8 @@ class Proposal:
 class PathInterpolator:
     """Follows paths of the platform, and replaces them on the move.
 
-    Args:
-        parameters: Robot, limits and options.
-
     Attributes:
         parameters: New ones count from the next path that starts at rest.
-        state: Present state.
-        plan: Last plan, or None.
         limit_scale: Fraction of all speeds and accelerations in use, see :meth:`scale_limits`.
     """
 
@@ -82,7 +77,6 @@ class PathInterpolator:
         Args:
             poses: (k, 3) x, y, theta in odom [m, m, rad].
             pose: Measured pose of the robot [m, m, rad], used if no path is under way.
-            now: Time [s].
             lead: Planning time: from now to the first change of a motion under way [s].
 
         Raises:
@@ -106,7 +100,6 @@ class PathInterpolator:
         return True
 
     def _from_rest(self, poses: Array, pose: Array) -> Proposal:
-        """Plan a path (k, 3) for the platform at rest at a pose (3,)."""
         self._near(poses[0], pose)
         planner = self.parameters.planner().slower(self.limit_scale)
         plan = planner.plan(np.vstack([pose, self._headed(poses, float(pose[2]))]))
@@ -115,7 +108,6 @@ class PathInterpolator:
     def _on_the_move(
         self, poses: Array, trajectory: Trajectory, now: float, lead: float
     ) -> Proposal:
-        """Plan a path (k, 3) that replaces the motion under way."""
         i, planner = self._next(trajectory, now + lead), self._planner
         position, velocity = self._motion(trajectory, i)
         headed = self._headed(poses, float(position[2]))
@@ -133,7 +125,6 @@ class PathInterpolator:
         )
 
     def _check(self, poses: Array) -> None:
-        """Check the shape, the number and the values of the poses of a path."""
         options = self.parameters.path
         if poses.ndim != 2 or poses.shape[1] != 3:
             raise InputError(f"poses have shape {poses.shape}, expected (k, 3)")
@@ -147,7 +138,6 @@ class PathInterpolator:
         plausible.demand(poses[:, 2], plausible.ANGLE, "headings")
 
     def _near(self, first: Array, here: Array) -> None:
-        """Check that the first pose (3,) of a path is near enough to the robot's pose (3,)."""
         distance = float(np.hypot(*(first - here)[:2]))
         if distance > self.parameters.path.start_distance:
             raise InputError(
@@ -156,7 +146,6 @@ class PathInterpolator:
             )
 
     def _headed(self, poses: Array, heading: float) -> Array:
-        """Return poses with the headings that the options select, unwrapped from a heading on."""
         options = self.parameters.path
         if options.heading == "along":
             present = np.column_stack([poses[:, :2], np.full(len(poses), heading)])
@@ -168,7 +157,6 @@ class PathInterpolator:
         self.state = PathState.FOLLOWING
 
     def _next(self, trajectory: Trajectory, now: float) -> int:
-        """Return the index of the first tick that can still be changed."""
         return max(trajectory.index(now) + LEAD, trajectory.index(self._since))
 
     def _place(self, trajectory: Trajectory, i: int) -> tuple[int, float, float]:
@@ -207,7 +195,6 @@ class PathInterpolator:
         self.state = PathState.CANCELLING
 
     def _stop(self, now: float, request: str) -> None:
-        """Plan a stop on the path for a request, which an error names."""
         trajectory, plan = self._trajectory, self.plan
         if self.state is PathState.SLOWING:
             return  # braking already
@@ -245,7 +232,6 @@ class PathInterpolator:
             self.state = PathState.SLOWING
 
     def _drive_on(self, now: float) -> None:
-        """Plan the rest of the path, from the stop or the braking under way."""
         trajectory, plan = self._trajectory, self.plan
         assert trajectory is not None and plan is not None
         if self.state is not PathState.PAUSING:

@@ -42,8 +42,6 @@ class JointMotion:
     """A curve that the joints follow from a time on, with its own pace.
 
     Args:
-        curve: Motion in its own time.
-        start: Time at which it starts [s].
         limits: Limits that changes of the pace keep.
 
     Attributes:
@@ -70,7 +68,6 @@ class JointMotion:
         return State(*(part[0] for part in self.sample(np.array([time]))))
 
     def _demand(self, times: Array) -> Demand:
-        """Return the use of the limits by the curve at times (k,) [s]."""
         _, v, a = self.curve.sample(times - self.start)
         return Demand.of(self._groups, v, a)
 
@@ -80,7 +77,6 @@ class JointInterpolator:
 
     Attributes:
         planner: Planner of the motions; a new one counts from the next trajectory.
-        state: Present state.
     """
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions) -> None:
@@ -105,7 +101,6 @@ class JointInterpolator:
 
         Args:
             here: (d,) positions of the joints, used if no motion is under way.
-            now: Time [s].
             lead: Planning time that passes before a motion under way can change [s].
             start: Time 0 of the trajectory [s]; None if it starts as soon as possible.
 
@@ -128,12 +123,6 @@ class JointInterpolator:
         self, target: MovingTarget, here: Array, now: float, lead: float
     ) -> JointProposal:
         """Plan a motion to a moving target without changing the motion under way.
-
-        Args:
-            target: Target, as seen now.
-            here: (d,) positions of the joints, used if no motion is under way.
-            now: Time [s].
-            lead: Planning time that passes before a motion under way can change [s].
 
         Raises:
             InputError: The target cannot be reached.
@@ -170,7 +159,6 @@ class JointInterpolator:
     def _stop_and_go(
         self, motion: JointMotion, points: JointPoints, now: float, since: float
     ) -> TimedCurve:
-        """Plan a stop on the path from a time on, then a motion through points without times."""
         brake = motion.pace.copy()
         brake.aim(0.0, now, since)
         count = max(math.ceil((brake.settling(since) - since) / TICK - 1e-6), 0) + 1
@@ -225,7 +213,6 @@ class JointInterpolator:
         self.state = PathState.IDLE
 
     def _aim(self, target: float, now: float) -> None:
-        """Set the pace that the motion under way changes to."""
         assert self._motion is not None
         self._motion.pace.aim(target, now, self._since)
 
@@ -281,14 +268,8 @@ class JointInterpolator:
     def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
         """Return the last stretch of a stream that runs at a pace: down to rest on the path.
 
-        A stop from a lower pace has the same duration in motion time, on the same path.
-
-        Args:
-            now: Time [s].
-            pace: Pace at which the motion runs.
-
-        Returns:
-            The stretch, or None if there is no motion or it stands still.
+        A stop from a lower pace has the same duration in motion time, on the same path. It is None
+        if there is no motion or it stands still.
         """
         if pace.plain:
             return self.stop_window(now)
@@ -296,7 +277,6 @@ class JointInterpolator:
         return None if window is None or rate <= 0.0 else window.slowed(now, rate)
 
     def _sample(self, times: Array, pace: Pace) -> tuple[Array, Array, Array]:
-        """Sample the replaced motions and then the present one, which runs at `pace`."""
         assert self._motion is not None
         if not self._before:
             return self._motion.sample(times, pace)

@@ -104,11 +104,7 @@ class State:
 
 
 class JointPlanner:
-    """Plans motions of all axes through points of some; the other axes keep their positions.
-
-    Args:
-        dt: Tick of the time base [s].
-    """
+    """Plans motions of all axes through points of some; the other axes keep their positions."""
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions, dt: float) -> None:
         self.limits, self.options, self._dt = limits, options, dt
@@ -122,10 +118,6 @@ class JointPlanner:
         From positions only, the motion minimises the jerk; with velocities, its third derivative
         is continuous; given accelerations are kept, too. A first point with time 0 must be the
         present state. The motion ends at rest.
-
-        Args:
-            points: Points with times.
-            state: State of all axes at time 0.
 
         Raises:
             InputError: The motion starts somewhere else, ends in motion or violates the limits.
@@ -165,7 +157,6 @@ class JointPlanner:
         """Plan the fastest motion within the limits from rest through points without times.
 
         Args:
-            points: Points without times.
             position: (d,) position at which all axes are at rest.
 
         Raises:
@@ -181,7 +172,6 @@ class JointPlanner:
         return TimedCurve(times, motion.positions, motion.velocities, motion.accelerations)
 
     def _started(self, points: JointPoints, state: State) -> JointPoints:
-        """Return the points after the state; a first point with time 0 must be the state."""
         assert points.times is not None
         if points.times[0] > round_off.SAME_TIME:
             return points
@@ -208,7 +198,6 @@ class JointPlanner:
         return JointPoints(points.columns, points.times[1:], *later)  # type: ignore[arg-type]
 
     def _ends_at_rest(self, points: JointPoints) -> None:
-        """Check that the last velocities, if given, are zero but for round-off."""
         if points.velocities is not None and not round_off.is_rest(points.velocities[-1]):
             k = int(np.abs(points.velocities[-1]).argmax())
             i = points.columns[k]

@@ -120,8 +120,6 @@ class Pace:
         """Set the pace to aim for.
 
         Args:
-            target: Pace, 0 to 1.
-            now: Time [s].
             since: Earliest time of a change [s]; :data:`LEAD` ticks from now are kept anyway.
             at_once: Whether a pace that falls does so without regard to the jerk limits.
         """
@@ -186,7 +184,6 @@ class Pace:
         self._times, self._motion, self._rates, self._slopes = columns
 
     def _replan(self, target: float, now: float, since: float) -> None:
-        """Replace the planned course from the first tick that can be changed on."""
         begin = max(now + LEAD * self._tick, since)
         if self.plain:
             self._knots([(now, now, 1.0, 0.0)])
@@ -204,7 +201,6 @@ class Pace:
         return self._demand(motion + self._tick * np.arange(steps + 3, dtype=float))
 
     def _extend(self, until: float) -> None:
-        """Add knots up to a time [s], or until the target is reached."""
         dt = self._tick
         while not self._settled and self._times[-1] <= until:
             base = self._motion[-1]
@@ -225,7 +221,6 @@ class Pace:
                     return
 
     def _next_slope(self, demand: Demand, i: int, rate: float, slope: float) -> float:
-        """Return p' of the next tick: towards the target, as far as the limits allow."""
         dt, gap = self._tick, self.target - rate
         if gap == 0.0:
             return 0.0
@@ -245,11 +240,7 @@ class Pace:
         return min(max(desired, -rate / dt), (1.0 - rate) / dt)
 
     def _allowed(self, demand: Demand, i: int, rate: float, margin: float) -> tuple[float, float]:
-        """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick.
-
-        Args:
-            margin: Fraction of the limits that counts.
-        """
+        """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick."""
         speed = np.maximum(demand.speed[i : i + 3], 1e-18)
         square = rate * rate
         middle = demand.mixed[i : i + 3] * square

@@ -59,7 +59,6 @@ class PathPlanner:
 
     Args:
         groups: Limits of the coordinates; each of the d coordinates is in exactly one group.
-        dt: Tick of the time base [s].
         cap: Bound on u' at points of a curve besides 1; None if there is none.
         limit_scale: Fraction of all speed and acceleration limits that is used.
 
@@ -113,7 +112,6 @@ class PathPlanner:
         """Plan from a motion: straight out of it, as far as a stop takes, then to the points.
 
         Args:
-            position: (d,) present position.
             velocity: (d,) present velocity, not zero.
             points: (k, d) points to drive to, with rest at the last.
 
@@ -124,12 +122,7 @@ class PathPlanner:
         return self._chosen(np.vstack([position, tip, points]), velocity)
 
     def stop_point(self, position: Array, velocity: Array) -> Array:
-        """Return the point (d,) at which the straight line out of a motion ends.
-
-        Args:
-            position: (d,) present position.
-            velocity: (d,) present velocity, not zero.
-        """
+        """Return the point (d,) at which the straight line out of a motion ends."""
         rate = float(max_utilisation(self._groups, velocity, self._speeds))
         slope = velocity / rate
         deceleration = 1.0 / float(max_utilisation(self._groups, slope, self._accelerations))
@@ -141,9 +134,6 @@ class PathPlanner:
 
         The point and its u' must be from ticks of this planner, so that a stop in time is
         possible.
-
-        Args:
-            u: Parameter of the curve [s].
 
         Raises:
             InputError: The motion would take too long.
@@ -163,7 +153,6 @@ class PathPlanner:
     # ---- parts ------------------------------------------------------------------------------
 
     def _chosen(self, points: Array, velocity: Array | None) -> Plan:
-        """Plan with the coarse simplification only where that makes the motion faster."""
         fine, coarse = (
             self._reduced(points, share, velocity)
             for share in (FINE_SIMPLIFICATION, COARSE_SIMPLIFICATION)
@@ -176,7 +165,6 @@ class PathPlanner:
         return plan
 
     def _reduced(self, points: Array, share: float, velocity: Array | None) -> Array:
-        """Return the points without repeats, simplified by a share of the tolerance."""
         kept = points[:0] if velocity is None else points[:1]
         rest = polyline.remove_repeats(points[len(kept) :], self._scale)
         rest = polyline.simplify(rest, share * self._scale)
@@ -208,14 +196,12 @@ class PathPlanner:
         return Plan(route, ticks, bound, (len(ticks) - 1) * self.dt)
 
     def _room(self, share: float) -> list[float]:
-        """Return the tolerance that is left to the parabolas at corners, for each group."""
         return [
             (1.0 - share) * group.tolerance - smear
             for group, smear in zip(self._groups, self._smear, strict=True)
         ]
 
     def _route(self, points: Array, share: float, moving: bool) -> Route:
-        """Create the curves between the points at which the path must stop."""
         if len(points) < 2:
             raise InputError("there is nothing to drive: the robot is already there")
         room = self._room(share)
@@ -261,7 +247,6 @@ class PathPlanner:
         return concatenate(parts), bound
 
     def _sampled(self, route: Route, section: int, profile: TimeProfile) -> Ticks:
-        """Return the ticks of a profile and of a final rest as long as the smoothing."""
         count = int(np.ceil(profile.duration / self.dt - 1e-9)) + 1 + self.smoother.memory
         u, rate = profile.at(self.dt * np.arange(count, dtype=float))
         return Ticks(
@@ -273,7 +258,6 @@ class PathPlanner:
         )
 
     def _resting(self, route: Route, section: int, u: Array) -> Ticks:
-        """Return the ticks of a rest at u (1,) [s] that is as long as the smoothing."""
         u = np.repeat(u, 1 + self.smoother.memory)
         return Ticks(
             route.curves[section].at(u),
@@ -285,8 +269,6 @@ class PathPlanner:
 
 
 def _scaled(cap: SpeedCap | None, scale: float) -> SpeedCap:
-    """Return the bound that is a fraction of u' = 1 and of another bound."""
-
     def lower(q: Array, slope: Array) -> Array:
         largest = np.ones(len(q)) if cap is None else np.minimum(cap(q, slope), 1.0)
         return scale * largest

@@ -8,9 +8,6 @@ class PointStream:
 
     A stream that lost control, or whose point was refused as nothing may move, is used again only
     after a pause. One that only fell silent goes on with its next point.
-
-    Attributes:
-        active: Whether it drives the motion under way.
     """
 
     def __init__(self) -> None:
@@ -19,15 +16,11 @@ class PointStream:
         self._received = self._fresh_until = NEVER
 
     def offer(self, now: float, refusal: str, pause: float) -> str:
-        """Register a point.
+        """Register a point; return why it is not used, or an empty string.
 
         Args:
-            now: Time of arrival [s].
             refusal: Why no point may move the arm now, or an empty string.
             pause: Time for which a stream that lost control must be silent [s].
-
-        Returns:
-            Why it is not used, or an empty string.
         """
         if now - self._received > pause:
             self._lost = ""

@@ -44,7 +44,6 @@ def headings_along(poses: Array, spread: float) -> Array:
 
 
 def _separate(places: Array) -> Array:
-    """Return places (j, 2) [m] without those that give no direction, as they repeat the last."""
     rows = places.tolist()
     kept = rows[:1]
     for x, y in rows[1:]:
@@ -86,7 +85,6 @@ def simplify(poses: Array, scale: Array) -> Array:
 
 
 def _worst(points: Array) -> int | None:
-    """Return the index of the inner point farthest from the chord; None if all are within 1."""
     chord = points[-1] - points[0]
     offset = points[1:-1] - points[0]
     square = float(chord @ chord)

@@ -35,9 +35,6 @@ class Smoother:
     average of the path's own acceleration, and this motion is averaged over the window. The result
     is a cubic polynomial between ticks, so that x, x' and x'' at the ticks determine all of it.
 
-    Args:
-        dt: Tick [s].
-
     Attributes:
         memory: Number of positions before a tick that it depends on.
     """

@@ -23,8 +23,6 @@ class SpeedBound:
         Args:
             velocities: Velocities (k, 9) of platform and joints at full pace
                 [m/s, m/s, rad/s, rad/s ...].
-            platform: Share of the platform's limits, 0 to 1.
-            arm: Share of the joints' limits, 0 to 1.
         """
         v = np.abs(velocities)
         linear = float(np.hypot(v[:, 0], v[:, 1]).max())

@@ -45,8 +45,6 @@ def minimum_jerk(
     This is the quintic spline, which is continuous up to the fourth derivative at inner points.
 
     Args:
-        times: (n,) increasing times of the points [s], n >= 2.
-        positions: (n, d) at the points.
         velocity, acceleration: (d,) of the first point; the last point is at rest.
     """
     n, d = positions.shape

@@ -83,8 +83,7 @@ class TimeProfiler:
     def fastest(self, curve: Curve, start: float = 0.0, rate: float = 0.0) -> TimeProfile | None:
         """Return the fastest profile from u = start, u' = rate to rest at the curve's end.
 
-        Returns:
-            The profile, or None if the curve cannot be driven from that rate.
+        The result is None if the curve cannot be driven from that rate.
         """
         cells = _Cells(curve, start, self._groups, self._cap)
         most = cells.backward()
@@ -99,8 +98,6 @@ class TimeProfiler:
 
 
 class _Cells:
-    """Cells of a curve from a start on, with the limits in each of them."""
-
     def __init__(
         self, curve: Curve, start: float, groups: Sequence[AxisGroup], cap: SpeedCap | None
     ) -> None:
@@ -230,7 +227,6 @@ def _nodes(curve: Curve, start: float) -> Array:
 
 
 def _products(slope: Array, bend: Array, limit: float) -> Array:
-    """Return a :data:`Row` (n, 4) for each of n cells."""
     rows = [(slope * slope).sum(1), (slope * bend).sum(1), (bend * bend).sum(1)]
     return np.column_stack([*rows, np.full(len(slope), limit * limit)])
 

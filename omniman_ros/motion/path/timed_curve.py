@@ -91,7 +91,6 @@ class TimedCurve:
 
 
 def _value(c: Array, u: Array) -> Array:
-    """Evaluate polynomials c (m, n, d) at u (..., n, d)."""
     result = np.broadcast_to(c[-1], u.shape)
     for row in c[-2::-1]:
         result = result * u + row
@@ -99,7 +98,6 @@ def _value(c: Array, u: Array) -> Array:
 
 
 def _zero(c: Array, low: Array, high: Array) -> Array:
-    """Return the zero of a polynomial that is monotone from low to high; an end if it has none."""
     rising = _value(c, high) > _value(c, low)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)

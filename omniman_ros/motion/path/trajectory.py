@@ -37,10 +37,7 @@ class Trajectory:
     """Motion on the time base: cubic polynomials between ticks, at rest after the last tick.
 
     Args:
-        start: Time of the first tick [s].
-        dt: Tick [s].
         ticks: Positions before the smoothing, which end at rest.
-        smoother: Filter that makes the motion keep the jerk limits.
         history: (smoother.memory, d) positions before the first tick; None if it starts at rest.
 
     Attributes:
@@ -108,9 +105,7 @@ class Trajectory:
         Ticks before `now` [s] are dropped.
 
         Args:
-            now: Time [s].
             index: Index of the tick at which the other ticks start.
-            ticks: Ticks that follow.
         """
         first, memory = min(self.index(now), index), self._smoother.memory
         history = self._raw[np.minimum(np.arange(first, first + memory), len(self._raw) - 1)]

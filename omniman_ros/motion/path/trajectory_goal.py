@@ -148,8 +148,6 @@ class GoalTolerances:
         to the defaults then.
 
         Args:
-            names: Names of all n axes.
-            path, goal: Tolerances of some of the axes.
             time: `goal_time_tolerance` [s]; 0 means the default, -1 means no bound.
 
         Raises:
@@ -181,7 +179,6 @@ class GoalTolerances:
 
 
 def _resolve(value: float, default: float, name: str) -> float:
-    """Return the bound that a tolerance means; an error contains the name of the tolerance."""
     if value > 0.0:
         return value
     if value == 0.0:
@@ -199,7 +196,6 @@ class GoalMonitor:
     caller (:attr:`stop`), and the verdict follows once it has ended and all axes are at rest.
 
     Args:
-        names: Names of all n axes.
         goal: (n,) positions at the end [m, rad]; NaN for axes that the goal does not name.
 
     Raises:
@@ -243,16 +239,12 @@ class GoalMonitor:
         actual: tuple[Array, ...] | None,
         outcome: str | None,
     ) -> Verdict | None:
-        """Check the axes against the tolerances.
+        """Check the axes against the tolerances; return the result once the goal has ended.
 
         Args:
-            now: Time of any clock [s].
             desired: Reference positions and velocities (n,), if there are any.
             actual: Measured positions and velocities (n,) at the same instant, if known.
             outcome: Reason why the motion has ended: empty if it arrived; None while it goes on.
-
-        Returns:
-            Result of the goal, or None while it goes on.
         """
         if outcome is None:
             if desired is not None and actual is not None and not self.stop:
@@ -269,12 +261,10 @@ class GoalMonitor:
         return self._settle(now, actual)
 
     def _check_path(self, desired: tuple[Array, ...], actual: tuple[Array, ...]) -> None:
-        """Record a violation of the path tolerances, if there is one."""
         errors = np.array([self.error(desired[0], actual[0]), desired[1] - actual[1]])
         self._violated = self._worst(errors, self._tolerances.path, "from its reference")
 
     def _settle(self, now: float, actual: tuple[Array, ...] | None) -> Verdict | None:
-        """Check the axes against the goal tolerances after the end of the motion."""
         if self._ended is None or now < self._ended:
             self._ended = now
         reason = "its axes are not measured"
@@ -291,13 +281,11 @@ class GoalMonitor:
         return Verdict(Ending.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
 
     def _shortest(self, errors: Array) -> Array:
-        """Return position errors (n,) with that of the heading wrapped to +-pi."""
         revolutions = np.where(self._is_heading, np.rint(errors / (2.0 * math.pi)), 0.0)
         result: Array = errors - 2.0 * math.pi * revolutions
         return result
 
     def _worst(self, errors: Array, bounds: Array, origin: str) -> str:
-        """Describe the error that is furthest beyond its bound; empty if none is."""
         excess = np.where(np.isfinite(bounds), np.abs(errors) - bounds, -math.inf)
         excess[np.isnan(excess)] = math.inf
         row, i = np.unravel_index(int(excess.argmax()), excess.shape)

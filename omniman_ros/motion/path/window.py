@@ -37,7 +37,6 @@ def paced_window(
     """Sample a motion that is driven at a pace.
 
     Args:
-        pace: Motion time as a function of time.
         sample: Returns x, x', x'' (k, d) of the motion at motion times (k,) [s].
         times: (k,) increasing [s].
     """

@@ -29,7 +29,6 @@ def way_around(start: Vector, goal: Vector, radius: float) -> tuple[float, Vecto
     Args:
         start: Place at which the way starts [m]; inside the disc, it starts as a tangent there.
         goal: Place at which it ends [m], outside of the disc or on its edge.
-        radius: Radius of the disc [m].
 
     Returns:
         Length of the way [m], and its direction at the start: a unit vector, zero at the goal.

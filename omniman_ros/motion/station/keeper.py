@@ -40,11 +40,7 @@ class StationState(Enum):
 class StationKeeper:
     """Generates the reference of a robot that keeps a station relative to a leader.
 
-    Args:
-        parameters: Robot, limits and options.
-
     Attributes:
-        state: Present state.
         reason: Why the station was given up last; empty if it was not.
         offset: Pose of the station in base_link of the leader [m, m, rad].
         error: Error (3,) of the robot relative to the station in odom, both as measured
@@ -95,7 +91,6 @@ class StationKeeper:
         A pose that jumps makes the robot give the station up, as its place is in doubt.
 
         Args:
-            time: Time of the measurement [s].
             pose: Pose of its base_link in its odom [m, m, rad].
             twist: Twist (3,) in its base_link [m/s, m/s, rad/s].
         """
@@ -123,10 +118,8 @@ class StationKeeper:
         """Approach a station and keep it, from rest or in place of another station.
 
         Args:
-            offset: Pose of the station in base_link of the leader [m, m, rad].
             pose: Measured pose of the robot in odom [m, m, rad]; without a motion under way, the
                 robot must be at rest there.
-            now: Time [s].
 
         Raises:
             InputError: The leader is unknown, or the station is too far away.
@@ -166,9 +159,7 @@ class StationKeeper:
         """Update error and state.
 
         Args:
-            pose: Measured pose of the robot in odom [m, m, rad].
             time: Time of its measurement [s].
-            now: Time [s].
         """
         if self._leader is not None:
             self.error = _difference(pose, self._leader.station(self.offset, time)[0])
@@ -179,7 +170,6 @@ class StationKeeper:
             self._judge(now)
 
     def _judge(self, now: float) -> None:
-        """Update the state of a station that was not released."""
         options = self._parameters.station
         distance, angle = math.hypot(self.error[0], self.error[1]), abs(float(self.error[2]))
         factor = LEAVING if self.state is StationState.KEEPING else 1.0
@@ -195,12 +185,7 @@ class StationKeeper:
             self.state = StationState.KEEPING
 
     def window(self, now: float, horizon: float) -> Window | None:
-        """Return the reference from now on for `horizon` [s], at least two ticks; None if idle.
-
-        Args:
-            now: Time [s].
-            horizon: Length [s].
-        """
+        """Return the reference from now on for `horizon` [s], at least two ticks; None if idle."""
         if self.state is StationState.IDLE:
             return None
         old, count = self._reference, max(int(horizon / TICK), 1) + 1
@@ -218,12 +203,10 @@ class StationKeeper:
         return self._reference
 
     def _followed_leader(self) -> Leader | None:
-        """Return the leader; None where the robot is to come to rest."""
         resting = self.state in (StationState.BRAKING, StationState.WAITING)
         return None if resting else self._leader
 
     def _append_tick(self, rows: list[list[Array]], leader: Leader | None, time: float) -> None:
-        """Append one tick to positions, velocities and accelerations, from a time [s] on."""
         position, velocity = rows[0][-1], rows[1][-1]
         target = np.zeros(3)
         if leader is not None:
@@ -280,11 +263,9 @@ class StationKeeper:
 
 
 def _at_rest(time: float, pose: Array) -> Window:
-    """Return the reference of a robot that rests at a pose (3,) [m, m, rad]."""
     rest = np.zeros((1, 3))
     return Window(np.array([time]), pose[None, :], rest, rest)
 
 
 def _difference(pose: Triple, other: Triple) -> Array:
-    """Return a pose minus another one (3,), the heading wrapped [m, m, rad]."""
     return np.array([pose[0] - other[0], pose[1] - other[1], se2.wrap(pose[2] - other[2])])

@@ -26,10 +26,6 @@ class Leader:
         A station at (a, b) in base_link of the leader, whose twist is (x', y', theta'), moves
         at (x' - theta' b, y' + theta' a, theta') there.
 
-        Args:
-            offset: Pose of the station in base_link of the leader [m, m, rad].
-            time: Time [s].
-
         Returns:
             Pose [m, m, rad], whose heading is not wrapped, and velocity [m/s, m/s, rad/s].
         """

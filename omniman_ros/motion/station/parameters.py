@@ -109,11 +109,7 @@ class StationParameters:
         return self.leader.radius + 0.5 * math.hypot(body.length, body.width)
 
     def usable_limits(self, scale: float) -> TwistLimits:
-        """Return the limits that a reference keeps, with the largest speeds of the options.
-
-        Args:
-            scale: Fraction (0, 1] of the limits that is left without a dead wheel.
-        """
+        """Return the limits that a reference keeps, with the largest speeds of the options."""
         share, limits = scale * (1.0 - self.station.reserve), self.limits
         usable = {name: share * getattr(limits, name) for name in limits.__dataclass_fields__}
         for name in ("linear_velocity", "angular_velocity"):

@@ -53,7 +53,6 @@ class PlatformCorrection:
         """Update the filter with a measured pose.
 
         Args:
-            time: Time of the measurement [s].
             measured: (3,) pose of base_link in odom [m, m, rad], modulo whole revolutions.
             reference: (3,) reference pose at that time [m, m, rad].
 
@@ -142,7 +141,6 @@ def corrected_arm_motion(
         tool: (k + 2, 4, 4) poses of `tool0` in odom at the same times.
         branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
         near: (k + 2, 6) planned angles [rad]; each result is within half a revolution of them.
-        step: Time between two poses [s].
 
     Returns:
         Joint angles [rad], rates [rad/s] and second derivatives [rad/s^2], (k, 6) each.
@@ -170,7 +168,6 @@ def joint_speed_pace(velocities: Array, limits: Array, pace: float = 1.0) -> flo
     Args:
         velocities: (k, n) predicted joint rates at the present pace [rad/s].
         limits: (n,) limits of the joint rates [rad/s].
-        pace: Present pace, 0 to 1.
     """
     utilisation = float((np.abs(velocities) / limits).max(initial=0.0))
     reference_pace = max(pace, MIN_SCALED_PACE)  # at rest, the speed at full pace is unknown

@@ -53,8 +53,7 @@ class Mount:
 class WholeBodyModel:
     """Kinematics of platform and arm together.
 
-    Attributes:
-        arm: Kinematics of the arm.
+    Positions of all axes q are (..., 9), poses of base_link (..., 3) in odom [m, m, rad].
     """
 
     def __init__(self, mount: Mount, arm: ArmModel | None = None) -> None:
@@ -63,20 +62,12 @@ class WholeBodyModel:
         self._base_inverse: Array = np.array(np.linalg.inv(self._base), dtype=np.float64)
 
     def base(self, platform: Array) -> Array:
-        """Return the pose (..., 4, 4) of the base of the DH table in odom.
-
-        Args:
-            platform: Poses (..., 3) of base_link in odom [m, m, rad].
-        """
+        """Return the pose (..., 4, 4) of the base of the DH table in odom."""
         result: Array = planar_transform(platform) @ self._base
         return result
 
     def forward(self, q: Array) -> Array:
-        """Return the pose (..., 4, 4) of `tool0` in odom.
-
-        Args:
-            q: Positions of all axes (..., 9).
-        """
+        """Return the pose (..., 4, 4) of `tool0` in odom."""
         result: Array = self.base(q[..., :3]) @ self.arm.forward(q[..., 3:])
         return result
 
@@ -85,9 +76,6 @@ class WholeBodyModel:
 
         It maps the rates of all axes to the linear and angular velocity of `tool0` in odom
         [m/s, rad/s].
-
-        Args:
-            q: Positions of all axes (..., 9).
         """
         return self.jacobian_of(q, self.arm.frames(q[..., 3:]))
 
@@ -95,7 +83,6 @@ class WholeBodyModel:
         """Return the Jacobian (..., 6, 9) of `jacobian` at positions whose arm's frames are known.
 
         Args:
-            q: Positions of all axes (..., 9).
             frames: Frames (..., 7, 4, 4) of the arm's links, :meth:`ArmModel.frames`.
         """
         base = self.base(q[..., :3])
@@ -114,7 +101,6 @@ class WholeBodyModel:
         """Return poses (k, 4, 4) of `tool0` in the base of the DH table.
 
         Args:
-            platform: Poses (k, 3) of base_link in odom [m, m, rad].
             tool: Poses (k, 4, 4) of `tool0` in odom.
         """
         shifted = tool.copy()
@@ -131,7 +117,6 @@ class WholeBodyModel:
         """Return joint angles (k, 6) [rad] for poses of the tool; NaN where it cannot be reached.
 
         Args:
-            platform: Poses (k, 3) of base_link in odom [m, m, rad].
             tool: Poses (k, 4, 4) of `tool0` in odom.
             branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
             near: Angles (6,) or (k, 6) [rad]; each result is within half a revolution of them.

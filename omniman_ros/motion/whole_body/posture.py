@@ -185,8 +185,6 @@ class PostureResolver:
 
 
 class _PostureProblem:
-    """Optimisation of the postures along one path."""
-
     def __init__(self, resolver: PostureResolver, tool: ToolCurve, start: Array) -> None:
         self._resolver, self._tool = resolver, tool
         self._model = resolver._model
@@ -257,7 +255,6 @@ class _PostureProblem:
     # ---- parts ------------------------------------------------------------------------------
 
     def _possible(self, platform: Array, poses: Array) -> NDArray[np.bool_]:
-        """Return (m,) bool: tool poses (m, 4, 4) that are reached from platform poses (m, 3)."""
         arm = self._model.arm_angles(platform, poses, self._branch, self._arm)
         margins, _ = self._resolver.margins(arm, self._signs)
         return np.asarray((margins > self._resolver._options.singularity).all(axis=1), dtype=bool)
@@ -361,20 +358,17 @@ def describe_place(tool: ToolCurve, u: float) -> str:
 
 
 def _nearness(k: int, value: float) -> str:
-    """Return a clause with the margin to a singularity."""
     margin = ("the sine of the elbow", "the sine of wrist_2", "the wrist's share of the reach")[k]
     return f"{margin} is {abs(value):.3g}"
 
 
 def _relative(tool: Array, platform: Array) -> Array:
-    """Return the platform's pose (3,) relative to a tool at x, y, psi (3,)."""
     c, s = math.cos(tool[2]), math.sin(tool[2])
     x, y, yaw = (platform - tool).tolist()
     return np.array([c * x + s * y, c * y - s * x, yaw])
 
 
 def _carried(tool: Array, offset: Array) -> Array:
-    """Return the platform's poses (m, 3) at offsets (3,) or (m, 3) from tools (m, 3)."""
     result: Array = tool + offset
     c, s = np.cos(tool[:, 2]), np.sin(tool[:, 2])
     result[:, 0] = tool[:, 0] + c * offset[..., 0] - s * offset[..., 1]

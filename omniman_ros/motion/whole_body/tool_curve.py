@@ -159,7 +159,6 @@ class ToolCurve:
         return first + int((difference * difference).sum(axis=1).argmin())
 
     def _kept(self, options: ToolPathOptions) -> tuple[NDArray[np.intp], ToleranceSplit]:
-        """Return the indices of the poses that are kept, and the tolerance split."""
         scale = np.repeat(
             [options.tolerance / math.sqrt(3.0), options.angular_tolerance / math.sqrt(6.0)], 3
         )
@@ -177,7 +176,6 @@ class ToolCurve:
         return coarse if 2 <= len(coarse[0]) <= NOISY_FRACTION * len(fine[0]) else fine
 
     def _pose(self, c: Array) -> Array:
-        """Return poses (m, 4, 4) for coordinates (m, 6)."""
         result = np.zeros((len(c), 4, 4))
         result[:, :3, :3] = _upright(c[:, 3]) @ _tilted(c[:, 4:]) @ self._first
         result[:, :3, 3] = c[:, :3]
@@ -209,7 +207,6 @@ def coordinates(poses: Array) -> Array:
 
 
 def _upright(angle: Array) -> Array:
-    """Return rotations (k, 3, 3) by angles (k,) about the vertical."""
     result = np.zeros((len(angle), 3, 3))
     result[:, 0, 0] = result[:, 1, 1] = np.cos(angle)
     result[:, 1, 0] = np.sin(angle)
@@ -258,7 +255,6 @@ def _swing_rate(swing: Array, rate: Array) -> Array:
 
 
 def _rotated(rotation: Array, vectors: Array) -> Array:
-    """Return vectors (k, 3) rotated by rotations (k, 3, 3)."""
     result: Array = (rotation @ vectors[:, :, None])[:, :, 0]
     return result
 

@@ -91,7 +91,6 @@ class ToolPlanner:
         self._check_distance(poses[0], self._model.forward(start))
 
     def _check_input(self, poses: Array, start: Array) -> None:
-        """Check shapes, values and number of the poses, and the positions at the start."""
         if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
             raise InputError(f"poses have shape {poses.shape}, expected (k, 4, 4), k >= 1")
         if len(poses) > self._options.max_poses:
@@ -112,7 +111,6 @@ class ToolPlanner:
         self._limits.require_within(start[None])
 
     def _check_distance(self, first: Array, tool: Array) -> None:
-        """Check that the first pose (4, 4) is near enough to the tool's pose (4, 4)."""
         distance = float(np.linalg.norm(first[:3, 3] - tool[:3, 3]))
         if distance > self._options.start_distance:
             x, y, z = tool[:3, 3].tolist()
@@ -123,7 +121,6 @@ class ToolPlanner:
 
 
 def _placed(curve: TimedCurve, frame: Array, start: Array) -> TimedCurve:
-    """Transform a motion from the frame of the platform's start to odom."""
     rotation = frame[:2, :2].T
     positions, velocities, accelerations = (
         np.hstack([rows[:, :2] @ rotation, rows[:, 2:]])

@@ -35,7 +35,6 @@ class PathProgress:
     """Path parameter u(t): cubic polynomials over equal intervals, at rest before and after.
 
     Args:
-        span: Duration of each polynomial [s].
         u, rate, acceleration: (n,) u [m], u' and u'' at the ends of the polynomials.
     """
 
@@ -121,7 +120,6 @@ class ToolTimer:
     # ---- parts ------------------------------------------------------------------------------
 
     def _progress(self, samples: "_Samples") -> PathProgress:
-        """Return the averaged fastest u(t) below the bounds of u' at the samples."""
         profile, scale = samples.profile(self._spread(samples.u, samples.tops()))
         duration = profile.duration + (self.window + 2) * TICK
         if not duration <= MAX_DURATION:
@@ -157,7 +155,6 @@ class ToolTimer:
     def _kept(
         self, path: WholeBodyPath, progress: PathProgress
     ) -> tuple[PathProgress, TimedCurve]:
-        """Return the motion, stretched until it keeps all limits."""
         for _ in range(MAX_STRETCHES):
             curve = self._curve(path, progress)
             excess = self._excess(curve)
@@ -171,7 +168,6 @@ class ToolTimer:
         raise InputError(f"the path takes over {MAX_DURATION:.0f} s")
 
     def _curve(self, path: WholeBodyPath, progress: PathProgress) -> TimedCurve:
-        """Return all axes at ticks along the path."""
         count = round(progress.duration / TICK)
         times: Array = TICK * np.arange(count + 1.0)
         u, rate, acceleration = (column[:, None] for column in progress.motion(times))
@@ -181,8 +177,7 @@ class ToolTimer:
     def _excess(self, curve: TimedCurve) -> float:
         """Return the factor by which a motion must be slowed down to keep all limits.
 
-        Returns:
-            The factor; at most 1 if the motion keeps all limits already.
+        It is at most 1 if the motion keeps all limits already.
         """
         limits, worst = self._limits, 0.0
         bounds = limits.velocity, limits.acceleration, limits.jerk

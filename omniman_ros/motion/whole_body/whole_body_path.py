@@ -48,11 +48,7 @@ class WholeBodyPath:
     """Nine axes as functions of u, with the tool exactly on its path.
 
     Args:
-        postures: Platform and arm at nodes of the path.
         branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
-
-    Attributes:
-        tool: Path of the tool.
     """
 
     def __init__(
@@ -106,12 +102,10 @@ class WholeBodyPath:
 
 
 def _times(matrix: Array, vectors: Array) -> Array:
-    """Return the products (m, i) of matrices (m, i, j) and vectors (m, j)."""
     result: Array = (matrix @ vectors[:, :, None])[:, :, 0]
     return result
 
 
 def _solved(matrix: Array, vectors: Array) -> Array:
-    """Return the solutions (m, i) of systems with matrices (m, i, i) and vectors (m, i)."""
     solution = np.linalg.solve(matrix, vectors[:, :, None])[:, :, 0]
     return np.asarray(solution, dtype=float)
