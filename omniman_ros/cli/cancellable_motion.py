@@ -39,9 +39,6 @@ def run_motion(
 ) -> int:
     """Run a motion of the robot; cancel it when a signal is received.
 
-    Args:
-        move: Sends the motion through the driver, and follows it to its end.
-
     Raises:
         CommandError: The motion failed.
         KeyboardInterrupt: The motion was cancelled by a signal.

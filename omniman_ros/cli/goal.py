@@ -60,10 +60,8 @@ class GoalDriver:
         """Send a goal, and wait until the robot has reached it.
 
         Args:
-            pose: Goal pose (x, y, heading) [m, m, rad].
             relative: Whether the goal is given relative to the present pose of base_link, rather
                 than in odom.
-            timeout: Time after which the goal is cancelled [s].
 
         Raises:
             CommandError: There is no planner, the goal is refused or abandoned, or the robot does
@@ -96,7 +94,6 @@ class GoalDriver:
         return bool(self._status and self._pose and self._goals.get_subscription_count())
 
     def _follow(self, distance: float, timeout: float) -> None:
-        """Show the progress until the goal is reached, from this distance at the start [m]."""
         goals, refused = self._status.get("goals", ""), self._status.get("refused", "")
         start, initial_distance = time.monotonic(), max(distance, 0.1)
         while time.monotonic() < start + timeout:

@@ -59,11 +59,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command of `omniman`, and return its exit code.
-
-    Args:
-        arguments: Command line without the program's name; that of this process if None.
-    """
+    """Run a command of `omniman`, and return its exit code."""
     args = make_parser().parse_args(arguments)
     try:
         command = importlib.import_module(COMMANDS[args.command].module)

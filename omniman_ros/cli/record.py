@@ -80,7 +80,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _full_name(topic: str, namespace: str) -> str:
-    """Return the full name of a topic that is named in a namespace."""
     if topic.startswith("/"):
         return topic
     return "/" + "/".join(part for part in (namespace, topic) if part)
@@ -148,7 +147,6 @@ class TopicRecorder:
         self._report_drops()
 
     def _report_drops(self) -> None:
-        """Warn if messages have been dropped since the last warning."""
         dropped = self._writer.dropped.total()
         if dropped > self._reported_drops:
             reason = self._writer.failure or "the disk is too slow"
@@ -166,7 +164,6 @@ class TopicRecorder:
     def _add(
         self, name: str, types: Sequence[str], publishers: Sequence[TopicEndpointInfo]
     ) -> bool:
-        """Start to record a topic; return whether that is possible."""
         try:
             if len(types) > 1:
                 raise InputError(f"it has several types: {', '.join(types)}")
@@ -212,7 +209,6 @@ class TopicRecorder:
         return count
 
     def _adapt(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Reduce the quality of service if a new publisher offers less, so that it is received."""
         topic = self._topics[name]
         reliable, transient_local = common_qos(publishers)
         if (topic.reliable and not reliable) or (topic.transient_local and not transient_local):

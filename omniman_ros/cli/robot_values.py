@@ -26,7 +26,6 @@ def parse_parameters(params: Sequence[str], known: Container[str], what: str) ->
 
     Args:
         params: Parameters, each NAME:=VALUE, where VALUE is YAML.
-        known: Names that may be given.
         what: What they affect, for the message.
 
     Raises:

@@ -43,7 +43,6 @@ def call_all(
 
 
 def _call_found(session: Session, calls: TriggerCalls) -> None:
-    """Call the nodes as they are discovered, until no more have been for a while."""
     found, found_at = 0, time.monotonic()
 
     def has_begun() -> bool:

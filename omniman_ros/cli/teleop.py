@@ -44,14 +44,7 @@ Two keys pressed at once add up (w and e: a curve); a key pressed later replaces
 
 
 class Teleop:
-    """The ROS interface of teleoperation: publishes twists, calls services, tracks the robot.
-
-    Args:
-        stamped: Whether `cmd_vel` is a TwistStamped.
-
-    Attributes:
-        note: Latest event, for the status line.
-    """
+    """The ROS interface of teleoperation: publishes twists, calls services, tracks the robot."""
 
     def __init__(self, session: Session, stamped: bool) -> None:
         node = self._node = session.node
@@ -135,7 +128,6 @@ class Teleop:
         self._stop_states[message.name] = (is_stopped, message.message)
 
     def _stop_text(self) -> str:
-        """Return the stopped nodes and the reasons; nodes that hold with them are left out."""
         stopped = [
             f"{name.rpartition('/')[2]} {reason}"
             for name, (is_stopped, reason) in sorted(self._stop_states.items())

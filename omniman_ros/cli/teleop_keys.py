@@ -72,8 +72,6 @@ def split_keys(text: str) -> Iterator[str]:
 
 @dataclass
 class _HeldKey:
-    """A key that is held, with the times at which it was sent first and last [s]."""
-
     first: float
     last: float
 
@@ -84,9 +82,6 @@ class KeyTeleop:
     Args:
         linear: Speed at scale 1 [m/s].
         angular: Yaw rate at scale 1 [rad/s].
-
-    Attributes:
-        scale: Factor by which both speeds are multiplied.
     """
 
     def __init__(self, linear: float, angular: float) -> None:

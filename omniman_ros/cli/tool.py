@@ -70,10 +70,8 @@ class ToolDriver:
         """Move the tool to a position, and wait until it has arrived.
 
         Args:
-            position: Position (x, y, z) [m].
             relative: Whether the position is given relative to the tool, with x ahead of the robot
                 and y to its left, rather than in odom.
-            timeout: Time after which the motion is cancelled [s].
 
         Raises:
             CommandError: No node takes paths of the tool, the path is refused or abandoned, or the
@@ -104,7 +102,6 @@ class ToolDriver:
         return bool(known and self._paths.get_subscription_count())
 
     def _follow(self, timeout: float) -> None:
-        """Show the progress until the tool has arrived."""
         start, count, moved = time.monotonic(), self._status_count, False
         while time.monotonic() < start + timeout:
             self._session.spin(0.05)
@@ -135,10 +132,6 @@ class ToolDriver:
 
 def straight_path(start: Position, end: Position) -> Path:
     """Return a straight path of the tool, on which it keeps its orientation.
-
-    Args:
-        start: First position, in odom [m].
-        end: Last position, in odom [m].
 
     Returns:
         A path of two poses, whose quaternions are zero: the tool keeps its orientation.

@@ -34,7 +34,6 @@ def preview_point(sample: PlanarSample, after: Duration) -> MultiDOFJointTraject
     """Return a sample as a point of a preview.
 
     Args:
-        sample: Pose, velocity and acceleration in odom.
         after: Time of the sample, from the stamp of the message's header.
     """
     x, y, theta = sample.pose
@@ -52,8 +51,6 @@ def preview_message(motion: Motion, now: Time, start: Time) -> MultiDOFJointTraj
 
     Args:
         motion: Motion in odom; where it ends within the preview, the preview ends at rest.
-        now: Stamp of the message and time of its first point.
-        start: Time at which the motion starts.
     """
     message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
     message.header.frame_id = "odom"

@@ -27,13 +27,8 @@ class Session:
     message could be sent.
 
     Args:
-        namespace: Namespace of the node, relative or absolute.
         events: Whether to use the events executor, which is leaner and more punctual.
         sim_time: Whether time is that of /clock. All durations are then simulated.
-
-    Attributes:
-        context: Context of the node, set within the `with` block.
-        node: The node, set within the `with` block.
     """
 
     def __init__(
@@ -127,8 +122,6 @@ class PeriodicTicks:
     are skipped.
 
     Args:
-        duration: Time after which the iteration ends [s].
-        period: Time between two ticks [s].
         check: Called before each tick; it raises to end the iteration early.
     """
 

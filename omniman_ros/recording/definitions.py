@@ -65,7 +65,6 @@ class MessageDefinitions:
         return text, self._store.hash_rihs01(message_type)
 
     def _load(self, message_type: str) -> None:
-        """Read a type, and the types in it that are not known yet, from installed packages."""
         definitions, pending = {}, [message_type]
         while pending:
             name = pending.pop()
@@ -77,7 +76,6 @@ class MessageDefinitions:
         self._store.register(definitions)
 
     def _read(self, message_type: str) -> str:
-        """Return the text of the first file that defines a type."""
         package, _, name = message_type.split("/")
         for prefix in self._prefixes:
             file = prefix / "share" / package / "msg" / f"{name}.msg"

@@ -123,7 +123,6 @@ def draw_way(log: RobotLog) -> Any:
 
 
 def _draw_headings(axes: Any, odom: Array) -> None:
-    """Draw the start, and the heading at even distances along the path."""
     axes.plot(-odom[0, 2], odom[0, 1], "o", color=ODOMETRY, ms=5, mfc="white", zorder=4)
     travel = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(odom[:, 1:3], axis=0).T))])
     rows = np.unique(np.searchsorted(travel, np.linspace(0.0, travel[-1], ARROWS)))
@@ -144,7 +143,6 @@ def _draw_headings(axes: Any, odom: Array) -> None:
 
 
 def _panels(log: RobotLog, titles: Sequence[str]) -> tuple[Any, list[Any]]:
-    """Return a figure and its panels over the same time, with bands for the active source."""
     count = len(titles)
     figure, grid = pyplot.subplots(
         count, 1, figsize=(9, 1.0 + 1.75 * count), sharex=True, layout="constrained", squeeze=False
@@ -176,7 +174,6 @@ def _panels(log: RobotLog, titles: Sequence[str]) -> tuple[Any, list[Any]]:
 
 
 def _draw_line(log: RobotLog, axes: Any, times: Array, values: Array, **options: Any) -> None:
-    """Draw values (k,) over ROS times (k,) [s], with a break where there is no data."""
     gaps = np.flatnonzero(np.diff(times) > MAX_GAP) + 1
     seconds = np.insert(times - log.span[0], gaps, np.nan)
     axes.plot(seconds, np.insert(values, gaps, np.nan), **options)

@@ -45,7 +45,6 @@ class BagReader:
 
     Attributes:
         topic_types: Message type of each topic that has messages.
-        is_unfinished: Whether the process that recorded was killed.
 
     Raises:
         InputError: There is no recording at the path, or it cannot be read.
@@ -111,7 +110,6 @@ class BagReader:
             raise InputError(f"{self._path} is damaged: {error}") from error
 
     def _message(self, data: bytes, message_type: str) -> Any:
-        """Return the message that was serialized, with or without alignment at its end."""
         try:
             return self._reader.deserialize(data, message_type)
         except AnyReaderError:
@@ -119,7 +117,6 @@ class BagReader:
 
 
 def _check_metadata(file: Path) -> None:
-    """Raise FileError if a recording's metadata is there, but has not the form of such."""
     if not file.is_file():
         return
     tree = read_yaml(file)

@@ -301,7 +301,6 @@ class _Collector:
 
 
 def _append(tables: dict[str, list[_Row]], name: str, *row: float) -> None:
-    """Append a row to a table unless its length differs from that of the first row."""
     rows = tables.setdefault(name, [])
     if not rows or len(row) == len(rows[0]):
         rows.append(row)
@@ -327,7 +326,6 @@ def _joined(previews: list[list[_Row]]) -> Array:
 
 
 def _number(values: Mapping[str, str], key: str) -> float:
-    """Return a value as a number; NaN if there is none."""
     try:
         return float(values[key])
     except (KeyError, ValueError):
@@ -339,17 +337,14 @@ def _seconds(stamp: Any) -> float:
 
 
 def _yaw(q: Any) -> float:
-    """Return the yaw angle of a quaternion [rad]."""
     return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
 
 
 def _pose(pose: Any) -> tuple[float, float, float]:
-    """Return x, y, theta of a pose [m, m, rad]."""
     return pose.position.x, pose.position.y, _yaw(pose.orientation)
 
 
 def _motion(message: Any) -> _Row:
-    """Return stamp, pose x, y, theta and twist x', y', theta' of an odometry message."""
     twist = message.twist.twist
     return (
         _seconds(message.header.stamp),

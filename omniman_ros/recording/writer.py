@@ -50,13 +50,9 @@ class BagWriter:
     """Writer of a recording in a thread, as a context manager; its end completes the recording.
 
     Args:
-        folder: Folder of the recording, which must not exist.
         max_queued_bytes: Size of the messages that may wait to be written [bytes].
 
     Attributes:
-        folder: Folder of the recording.
-        written: Number of messages written, by topic.
-        dropped: Number of messages dropped, by topic.
         failure: Reason why writing has ended early, or an empty string.
 
     Raises:
@@ -115,8 +111,6 @@ class BagWriter:
         """Queue a message to be written, or count it as dropped; return whether it is queued.
 
         Args:
-            topic: Name of its topic, which has been added.
-            stamp: Time of its arrival [ns].
             data: The serialised message (CDR).
         """
         with self._changed:
@@ -131,7 +125,6 @@ class BagWriter:
     # ---- thread -----------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Write until the recording is closed and the queue is empty, or writing fails."""
         try:
             while self._write_queued():
                 pass
@@ -142,7 +135,6 @@ class BagWriter:
                 self._drop_all()
 
     def _write_queued(self) -> bool:
-        """Wait for queued items and write them; return whether more may follow."""
         with self._changed:
             while not self._queue and not self._is_closing:
                 self._changed.wait()
@@ -153,7 +145,6 @@ class BagWriter:
         return bool(self._queue) or not self._is_closing
 
     def _write(self, item: TopicMetadata | _Message) -> None:
-        """Write a topic or a message."""
         if isinstance(item, TopicMetadata):
             self._connections[item.name] = self._writer.add_connection(
                 item.name,
@@ -170,7 +161,6 @@ class BagWriter:
             self._queued_bytes -= len(data)
 
     def _drop_all(self) -> None:
-        """Drop and count all messages that have not been written."""
         for item in (*self._batch, *self._queue):
             if not isinstance(item, TopicMetadata):
                 self.dropped[item[0]] += 1

@@ -23,11 +23,7 @@ def add_namespace(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def add_parameters(parser: argparse._ActionsContainer, text: str = PARAMETER_HELP) -> None:
-    """Add `--param`, which may be repeated.
-
-    Args:
-        parser: Parser of the command, or a group of its arguments.
-    """
+    """Add `--param`, which may be repeated."""
     parser.add_argument(
         "-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text
     )
@@ -48,11 +44,7 @@ def add_results(parser: argparse.ArgumentParser, content: str = "JSON file") -> 
 
 
 def add_arm(parser: argparse.ArgumentParser, arms: Sequence[str]) -> None:
-    """Add `--arm`.
-
-    Args:
-        arms: Choices, names in `ARMS`.
-    """
+    """Add `--arm`."""
     kinds = "; ".join(f"{name}: {ARMS[name]}" for name in arms)
     parser.add_argument(
         "--arm",
@@ -64,11 +56,7 @@ def add_arm(parser: argparse.ArgumentParser, arms: Sequence[str]) -> None:
 
 
 def add_drive(parser: argparse.ArgumentParser, drives: Sequence[str]) -> None:
-    """Add `--drive` and `--installation`.
-
-    Args:
-        drives: Choices of `--drive`, names in `DRIVES`.
-    """
+    """Add `--drive` and `--installation`."""
     kinds = "; ".join(f"{name}: {DRIVES[name]}" for name in drives)
     parser.add_argument(
         "--drive",

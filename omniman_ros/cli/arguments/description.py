@@ -55,7 +55,6 @@ def add_map(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_description(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that say what robot is described."""
     add_robot(parser)
     add_parameters(parser, "a parameter of the robot, its arm or the mount; may be repeated")
     parser.add_argument(

@@ -55,7 +55,6 @@ def add_stop(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_timeout(parser: argparse.ArgumentParser, default: float) -> None:
-    """Add `--timeout`, with its default [s]."""
     parser.add_argument(
         "--timeout",
         type=float,

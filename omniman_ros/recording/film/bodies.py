@@ -69,11 +69,7 @@ class Triangles:
 
 
 class RobotBody:
-    """The robot as triangles.
-
-    Args:
-        mount: Mount of the arm; None if the robot has no arm.
-    """
+    """The robot as triangles."""
 
     def __init__(self, robot: Robot, mount: Mount | None) -> None:
         shape = meshes.body(robot)
@@ -97,7 +93,6 @@ class RobotBody:
 
         Args:
             pose: Pose of base_link in `odom` [m, m, rad].
-            wheels: Angles (n,) of the wheels [rad].
             joints: Joint angles (6,) [rad]; None to leave out the arm.
         """
         parts = [self._fixed]
@@ -157,7 +152,6 @@ def ribbon(points: Array, width: float, colour: Colour) -> Triangles:
 
 
 def _marker(robot: Robot) -> Triangles:
-    """Return the marker of a goal."""
     shape = marker(robot.body)
     light = style.rgb("#8fb0f0")
     return Triangles.join(
@@ -169,7 +163,6 @@ def _marker(robot: Robot) -> Triangles:
 
 
 def _wheel(robot: Robot, i: int) -> Callable[[float], Triangles]:
-    """Return a function that returns a wheel in base_link at an angle [rad]."""
     wheels = robot.wheels
     radius = wheels.radius[i]
     shape = meshes.wheel(radius, wheels.roller_angle[i])
@@ -190,7 +183,6 @@ def _wheel(robot: Robot, i: int) -> Callable[[float], Triangles]:
 
 
 def _instances(mesh: Mesh, parts: Parts, frames: tuple[Array, Array], colour: Colour) -> Triangles:
-    """Return instances of a mesh on the links of an arm, in base_link."""
     positions, rotations = ArmShape.placed(parts, frames)
     scaled = mesh.vertices[None] * parts.scales[:, None]
     turned = rotated(np.broadcast_to(rotations[:, None], (*scaled.shape[:2], 4)), scaled)

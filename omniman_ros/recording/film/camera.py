@@ -88,9 +88,7 @@ def _centred(camera: Camera, points: Array, margins: Array) -> tuple[bool, Camer
     """Return the camera moved so that points lie in the middle, and whether it shows all of them.
 
     Args:
-        camera: Camera to move, whose direction and distance are kept.
         points: (k, 3) points [m].
-        margins: Free pixels, see `fitted_camera`.
     """
     size = np.array(camera.size, dtype=float)
     middle = 0.5 * (margins[:, 0] + size - margins[:, 1])

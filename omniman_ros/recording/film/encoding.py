@@ -24,16 +24,12 @@ def write_film(
     most_bytes: int,
     report: Callable[[int, int], None] = lambda quality, size: None,
 ) -> int:
-    """Write a film at the best quality whose file is small enough.
+    """Write a film; return its size [bytes].
 
     Args:
-        frames: Images of Pillow, all of one size.
         rate: Frames per second.
         most_bytes: Largest size of the file [bytes].
         report: Called with each quality that was tried and the size [bytes].
-
-    Returns:
-        The size of the file [bytes].
 
     Raises:
         InputError: The film is too large at the lowest quality.
@@ -55,8 +51,6 @@ def encoded(frames: Sequence[Any], rate: float, quality: int) -> bytes:
     """Return frames as an animated WebP that is repeated forever.
 
     Args:
-        frames: Images of Pillow, all of one size.
-        rate: Frames per second.
         quality: Quality of the compression, 0 to 100.
     """
     times = [round(1e3 * k / rate) for k in range(len(frames) + 1)]

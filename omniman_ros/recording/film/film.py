@@ -51,11 +51,7 @@ class FilmFormat:
 
 
 class Film:
-    """Draws the frames of a film.
-
-    Args:
-        mount: Mount of the arm; None if the robot has no arm.
-    """
+    """Draws the frames of a film."""
 
     def __init__(
         self,
@@ -103,7 +99,6 @@ class Film:
         return _interpolated(arm, time)
 
     def _camera(self, shot: Shot) -> Camera:
-        """Return the camera that shows a shot."""
         times = np.linspace(shot.start, shot.end, 40)
         places = [np.array(self.pose(float(time))[:2]) for time in times]
         shown = [place + AROUND * np.array([c, s]) for place in places for c, s in _DIRECTIONS]
@@ -145,14 +140,12 @@ class Film:
         )
 
     def _floor_at(self, number: int, camera: Camera, time: float) -> Any:
-        """Return the floor with the map of a time, which is drawn anew from time to time."""
         key = (number, int(time / MAP_PERIOD))
         if self._floor is None or self._floor[0] != key:
             self._floor = key, floor_picture(camera, self._log.maps.at(time))
         return self._floor[1]
 
     def _lines(self, shot: Shot, time: float) -> list[FloorLine]:
-        """Return the lines on the floor, from the lowest to the topmost."""
         log, lines = self._log, []
         if shot.kind in ("path", FAULT) and (path := log.paths.at(time)) is not None:
             lines.append(FloorLine(path, style.PATH, 3.0))
@@ -202,7 +195,6 @@ class Film:
         return [_moved(first, second, share, shift) for first, second in moved]
 
     def _goal(self, time: float) -> Triple | None:
-        """Return the last goal before a time [s]; None if there is none."""
         goals = self._log.robot.goals
         known = goals[goals[:, 0] <= time]
         if not len(known):
@@ -226,7 +218,6 @@ _DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  #: Directions 
 
 
 def _outline(solid: Solid) -> Array:
-    """Return the outline (k, 2) around an obstacle [m]."""
     a, b = (0.5 * size + OBSTACLE_MARGIN for size in solid.size)
     x, y, angle = solid.place
     points = np.column_stack((a * np.cos(CIRCLE), b * np.sin(CIRCLE)))
@@ -234,7 +225,6 @@ def _outline(solid: Solid) -> Array:
 
 
 def _moved(first: Solid, second: Solid, share: float, shift: Triple) -> Solid:
-    """Return a body between two places, moved by a transform of the plane."""
     x, y = (a + share * (b - a) for a, b in zip(first.place[:2], second.place[:2], strict=True))
     place = se2.compose(shift, (x, y, first.place[2]))
     return Solid(first.is_round, place, first.size, first.heights)

@@ -153,12 +153,7 @@ def read_film_log(bag: BagReader, namespace: str = "") -> FilmLog:
 
 
 class _Collector:
-    """Collects messages into a log.
-
-    Attributes:
-        handlers: Handler of each topic, called with the ROS time of arrival [s] and a message.
-        wheel_rows: Rows of the log's table of wheel angles.
-    """
+    """Collects messages into a log."""
 
     def __init__(self, log: FilmLog) -> None:
         self._log = log

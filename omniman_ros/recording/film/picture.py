@@ -66,11 +66,7 @@ class Caption:
 
 
 def floor_picture(camera: Camera, occupancy: OccupancyMap | None) -> Any:
-    """Return the floor with its grid and a map, as an image of Pillow.
-
-    Args:
-        occupancy: The map; None to leave it out.
-    """
+    """Return the floor with its grid and a map, as an image of Pillow."""
     camera = _drawn(camera)
     image = Image.new("RGB", camera.size, FLOOR)
     if occupancy is not None:
@@ -102,7 +98,6 @@ def drawn_frame(
         floor: Image of `floor_picture`, which is not changed.
         lines: Lines on the floor, from the lowest to the topmost.
         dots: (k, 3) points in `odom` that are drawn as dots [m].
-        robot: The robot, which throws a shadow.
         others: Bodies around it, which throw shadows and are translucent.
         signs: What throws no shadow, and has its own colour from all sides.
     """
@@ -133,7 +128,6 @@ def _rasterize(raster: Rasterizer, camera: Camera, corners: Array, colours: Arra
 
 
 def _draw_dots(image: Any, camera: Camera, dots: Array) -> None:
-    """Draw points (k, 3) as dots [m]."""
     draw = ImageDraw.Draw(image)
     places, depth = camera.project(dots)
     radius = DOT_RADIUS * SAMPLES
@@ -194,7 +188,6 @@ class CaptionWriter:
 
     @staticmethod
     def _dim(image: Any, box: tuple[float, ...]) -> None:
-        """Lay the floor's colour over a part of an image, so that text on it can be read."""
         left, top, right, low = (round(edge) for edge in box)
         part = image.crop((left, top, right, low))
         plain = Image.new("RGB", part.size, FLOOR)
@@ -202,13 +195,11 @@ class CaptionWriter:
 
 
 def _drawn(camera: Camera) -> Camera:
-    """Return a camera whose image has `SAMPLES` pixels for one."""
     size = (SAMPLES * camera.size[0], SAMPLES * camera.size[1])
     return Camera(camera.target, camera.azimuth, camera.elevation, camera.distance, size)
 
 
 def _draw_line(draw: Any, camera: Camera, line: FloorLine) -> None:
-    """Draw a line on the floor, as far as it is in front of the camera."""
     points = np.column_stack((line.points, np.zeros(len(line.points))))
     places, depth = camera.project(points)
     ahead = (depth > NEAREST) & np.isfinite(places).all(axis=1)
@@ -225,7 +216,6 @@ def _draw_line(draw: Any, camera: Camera, line: FloorLine) -> None:
 
 
 def _with_shadows(image: Any, camera: Camera, corners: Array) -> Any:
-    """Return an image of the floor with the shadows of triangles (t, 3, 3) [m]."""
     # Half of a body's triangles, those in the light, throw all of its shadow.
     outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lit = corners[outwards @ LIGHT > 0.0]

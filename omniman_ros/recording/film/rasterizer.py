@@ -21,9 +21,6 @@ class Rasterizer:
 
     Args:
         image: Background, which is not changed.
-
-    Attributes:
-        image: The image with what has been drawn.
     """
 
     def __init__(self, image: Image) -> None:
@@ -100,14 +97,12 @@ class Rasterizer:
 
 
 def _counted(start: NDArray[np.int64], count: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return `count` numbers from each `start` on, one after the other."""
     ends = np.cumsum(count)
     total = int(ends[-1]) if len(ends) else 0
     return np.asarray(np.arange(total) + np.repeat(start - (ends - count), count))
 
 
 def _doubled_area(corners: Array) -> Array:
-    """Return the signed doubled areas (t,) of triangles (t, 3, 2)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 

@@ -81,7 +81,6 @@ def cut(log: FilmLog, duration: float) -> list[Shot]:
 
 
 def _driven(log: FilmLog) -> list[Shot]:
-    """Return the parts in which a source drove or a stop held, each of its kind."""
     end = log.robot.span[1]
     shots = []
     for (start, source), (until, _) in pairwise([*log.robot.sources, (end, "")]):
@@ -102,7 +101,6 @@ def _driven(log: FilmLog) -> list[Shot]:
 
 
 def _follows_tool_path(log: FilmLog, time: float) -> bool:
-    """Return whether the last path before a time [s] is one of the tool."""
     last = {
         name: series.times[index]
         for name, series in (
@@ -116,7 +114,6 @@ def _follows_tool_path(log: FilmLog, time: float) -> bool:
 
 
 def _joined(shots: Sequence[Shot]) -> list[Shot]:
-    """Join parts of the same kind between which the robot hardly rested; drop short ones."""
     joined: list[Shot] = []
     for shot in shots:
         last = joined[-1] if joined else None
@@ -128,7 +125,6 @@ def _joined(shots: Sequence[Shot]) -> list[Shot]:
 
 
 def _with_stops(shots: Sequence[Shot]) -> list[Shot]:
-    """Show each stop together with the end of the drive before it; drop those from rest."""
     result: list[Shot] = []
     for shot in shots:
         if shot.kind != STOP:
@@ -148,8 +144,6 @@ def _with_stops(shots: Sequence[Shot]) -> list[Shot]:
 
 
 def _paced(shots: Sequence[Shot], duration: float) -> list[Shot]:
-    """Return the shots at the speeds at which they take the duration [s] together."""
-
     def at(speed: float) -> list[Shot]:
         return [replace(s, speed=max(1.0, min(speed, s.length / LEAST_ON_SCREEN))) for s in shots]
 
