@@ -152,7 +152,7 @@ class PlatformDynamics:
     def current(self, torque: Array, wheel_speeds: Array) -> Array:
         """Return armature currents (n,) [A] at torques [N m] and speeds [rad/s], CCTA (21).
 
-        The efficiency eta of the gear, which is included, raises the current of a driving motor to 1 / eta of that without
+        The gear's efficiency eta raises the current of a driving motor to 1 / eta of that without
         losses, and lowers that of a braking motor to eta.
         """
         motor = self._motor
