@@ -8,12 +8,12 @@ the motion, as the wheels report it, does not explain.
 import math
 from dataclasses import dataclass
 
-from omniman_ros.control.dynamics import PlatformDynamics
-from omniman_ros.control.external_force import ExternalForceObserver
+import numpy as np
+
+from omniman_ros.control.dynamics import PlatformDynamics, smooth_sign
 from omniman_ros.control.imu import InertialStep
 from omniman_ros.control.kinematics import PlatformKinematics
-from omniman_ros.control.motion_comparison import MotionComparison
-from omniman_ros.control.odometry import Odometry
+from omniman_ros.control.odometry import REST_TIME, Odometry
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
@@ -86,6 +86,128 @@ class Persistence:
         """Return the time for which the condition has been true, less that since it was [s]."""
         self._duration = max(0.0, self._duration + (dt if condition else -dt))
         return self._duration
+
+
+#: Time constant T of the observer [s]: short against the second in which a held robot must be
+#: noticed, long against the ripple of rollers and of the drives' loops.
+OBSERVER_TIME = 0.1
+
+
+class ExternalForceObserver:
+    """Estimates the external wrench (fx, fy, torque about z) on base_link's origin.
+
+    Source: the generalized-momentum observer of A. De Luca and R. Mattone, "Sensorless robot
+    collision detection and hybrid force/motion control", ICRA 2005, with the platform's dynamics
+    of CCTA 2017 (19) to (23) as corrected in :mod:`omniman_ros.control.dynamics`.
+
+    With the momentum p = M v + J' I phi', the motors' wrench J' tau, the wrench f that friction
+    takes and the inertial wrench c of a rotating platform,
+
+        r = (p - p0 - integral of (J' tau - f - c + r)) / T,    so that    T r' = F_ext - r.
+
+    The twist v is what the wheels report. Where they slip, M v' is not the change of the
+    platform's momentum, but what a wheel does not need for itself still acts on the floor: for
+    wheels that slip at a steady speed the estimate holds.
+
+    Attributes:
+        external: Estimated external wrench r (3,) in base_link [N, N, N m].
+        motors: Wrench (3,) of the motors, through the same filter [N, N, N m].
+    """
+
+    def __init__(self, kinematics: PlatformKinematics, dynamics: PlatformDynamics) -> None:
+        self.external: Array = np.zeros(3)
+        self.motors: Array = np.zeros(3)
+        self._time: float | None = None
+        self._momentum: Array = np.zeros(3)
+        self.configure(kinematics, dynamics)
+
+    def configure(self, kinematics: PlatformKinematics, dynamics: PlatformDynamics) -> None:
+        """Set new models, and begin anew."""
+        self.set_dynamics(kinematics, dynamics)
+        self.restart()
+
+    def set_dynamics(self, kinematics: PlatformKinematics, dynamics: PlatformDynamics) -> None:
+        """Set models with masses that have moved on the platform, and go on.
+
+        Their momentum has changed with them, as that of the robot has.
+        """
+        self._dynamics = dynamics
+        forward, twist = kinematics.J.T, kinematics.J_pinv
+        self._forward = forward
+        viscous, self._dry = dynamics.friction_wrenches()
+        wheels, rollers = np.eye(kinematics.wheel_count), dynamics.rolling @ twist
+        # One product with the wheel speeds gives all that is linear in them.
+        self._of_speeds = np.vstack([twist, dynamics.momentum_map(), viscous, wheels, rollers])
+
+    def restart(self) -> None:
+        """Begin anew, as after a gap in the torques."""
+        self._time = None
+        self.external, self.motors = np.zeros(3), np.zeros(3)
+
+    def update(self, time: float, speeds: Array, torque: Array) -> None:
+        """Process newer speeds (n,) [rad/s] and torques (n,) [N m] of the wheels."""
+        linear = self._of_speeds @ speeds
+        momentum = linear[3:6]
+        if self._time is not None:
+            dt = time - self._time
+            friction = linear[6:9] + self._dry @ smooth_sign(linear[9:])
+            motors = self._forward @ torque
+            inertial = self._dynamics.body_wrench(linear[:3], np.zeros(3))
+            gain = dt / (OBSERVER_TIME + dt)
+            change = (momentum - self._momentum) / dt
+            self.external = self.external + gain * (
+                change - (motors - friction - inertial) - self.external
+            )
+            self.motors = self.motors + gain * (motors - self.motors)
+        self._time, self._momentum = time, momentum
+
+
+RATE_FILTER_TIME = 0.1  #: Time constant of the filter of the difference of yaw rates [s]
+#: Time constant with which a difference of velocities is forgotten [s]: a collision takes a tenth
+#: of it, and a constant error of the acceleration leaves no more than its product with this.
+MEMORY = 0.5
+#: Time constant with which the acceleration at rest, by bias and tilt, is learned [s]
+BIAS_TIME = 1.0
+
+
+class MotionComparison:
+    """Differences between the motion of the wheels and the one of an inertial sensor.
+
+    Attributes:
+        yaw_rate: Yaw rate by the wheels less the measured one, filtered [rad/s].
+        velocity: Velocity (2,) in base_link that the wheels have gained lately, less the one that
+            the accelerations explain [m/s]: what the platform has lost and the wheels still have.
+    """
+
+    def __init__(self) -> None:
+        self._bias: Array = np.zeros(2)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, as after a gap; the learned bias of the accelerations is kept."""
+        self.yaw_rate = 0.0
+        self.velocity: Array = np.zeros(2)
+        self._before: Array | None = None
+
+    def update(self, dt: float, odometry: Odometry, inertial: InertialStep | None) -> None:
+        """Process a step between two reports of the wheels."""
+        if inertial is None:
+            if self._before is not None:
+                self.restart()
+            return
+        vx, vy, w = odometry.wheel_twist.tolist()
+        velocity = odometry.wheel_twist[:2]
+        if odometry.rest >= REST_TIME:
+            share = dt / (BIAS_TIME + dt)
+            self._bias = self._bias + share * (inertial.acceleration - self._bias)
+        rate = w - (inertial.rotation / dt - odometry.yaw_bias)
+        self.yaw_rate += (rate - self.yaw_rate) * dt / (RATE_FILTER_TIME + dt)
+        if self._before is not None:
+            turning = np.array([-w * vy, w * vx])
+            gained = velocity - self._before + turning * dt
+            measured = (inertial.acceleration - self._bias) * dt
+            self.velocity = self.velocity * math.exp(-dt / MEMORY) + gained - measured
+        self._before = velocity
 
 
 class HeldRobotDetector:

@@ -161,9 +161,6 @@ class TwistLimiter:
     that can still be brought to zero at the jerk limit without overshooting the target (exact in
     discrete time). If the target changes so that the twist would leave the velocity limits, these
     have priority over the jerk limit.
-
-    Attributes:
-        limits: Limits; may be changed at any time.
     """
 
     def __init__(self, limits: TwistLimits) -> None:

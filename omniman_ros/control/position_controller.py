@@ -39,11 +39,7 @@ def pose_error(reference: Array, pose: tuple[float, float, float]) -> Array:
 
 
 class PositionController:
-    """Control law x'_W = x'_ref + K (x_ref - x); limitation keeps the correction's direction.
-
-    Attributes:
-        gains: Gains and bounds; may be changed at any time.
-    """
+    """Control law x'_W = x'_ref + K (x_ref - x); limitation keeps the correction's direction."""
 
     def __init__(self, gains: PositionGains) -> None:
         self.gains = gains

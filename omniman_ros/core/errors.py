@@ -6,11 +6,7 @@ class OmnimanError(Exception):
 
 
 class ParameterError(OmnimanError, ValueError):
-    """The value of a parameter is refused.
-
-    Attributes:
-        name: Full name of the parameter, groups joined by dots.
-    """
+    """The value of a parameter is refused; its full name joins groups by dots."""
 
     def __init__(self, name: str, value: object, reason: str) -> None:
         super().__init__(f"parameter '{name}' = {value!r} is refused: {reason}")
@@ -20,11 +16,7 @@ class ParameterError(OmnimanError, ValueError):
 
 
 class GeometryError(OmnimanError, ValueError):
-    """The wheels do not make an omnidirectional platform.
-
-    Attributes:
-        wheel: Name of the wheel at fault, or None if no single wheel is.
-    """
+    """The wheels do not make an omnidirectional platform; `wheel` names a single one at fault."""
 
     def __init__(self, message: str, wheel: str | None = None) -> None:
         super().__init__(message)
@@ -36,11 +28,7 @@ class InputError(OmnimanError, ValueError):
 
 
 class FileError(OmnimanError):
-    """A file cannot be used as what it is given for.
-
-    Attributes:
-        line: Line at fault, counted from 1; None if it is not one line.
-    """
+    """A file cannot be used as what it is given for; `line`, if any, is counted from 1."""
 
     def __init__(self, file: str, line: int | None, reason: str) -> None:
         super().__init__(f"{file}{'' if line is None else f':{line}'}: {reason}")

@@ -35,9 +35,6 @@ class MotionLimit:
     A limit is never latched: the motion goes on as soon as it allows that. Where there are several
     publishers, whose messages cannot be told apart, the smallest share of all fresh messages
     counts: no publisher can loosen the limit of another one.
-
-    Attributes:
-        parameters: May be changed at any time.
     """
 
     def __init__(self, parameters: MotionLimitParameters) -> None:

@@ -33,11 +33,7 @@ class StartAttempt:
 
 
 class PendingStart:
-    """Slot for at most one motion that waits to be started.
-
-    Args:
-        stream_monitor: Provides the time that a new stream must wait until it is accepted [s].
-    """
+    """Slot for at most one motion that waits to be started."""
 
     def __init__(self, clock: Callable[[], float], stream_monitor: StreamMonitor) -> None:
         self._clock, self._stream_monitor = clock, stream_monitor
@@ -48,11 +44,7 @@ class PendingStart:
         return self._start is not None
 
     def put(self, start: Callable[[], None]) -> None:
-        """Store a motion in place of the one that is pending, if any.
-
-        Args:
-            start: Starts the motion; it may raise InputError to refuse it.
-        """
+        """Store a motion in place of the pending one; InputError of its start refuses it."""
         self._start = start
         self.restart_timeout()
 
@@ -72,10 +64,6 @@ class PendingStart:
         The motion is refused at once for a reason in `refusal`, and after the timeout for one that
         `blocking_reason` returns. The motion is no longer pending unless the outcome is that it is
         still waiting.
-
-        Args:
-            refusal: Reason for which the motion can never start, or an empty string.
-            blocking_reason: Returns why the motion cannot start yet, or an empty string.
         """
         if self._start is None:
             return StartAttempt(StartState.NOTHING_PENDING)

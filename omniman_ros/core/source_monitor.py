@@ -30,9 +30,6 @@ class SourceMonitor:
     Who publishes the topic tells the robot to use it. From then on, what was never usable is as
     bad as what fell silent. Where nobody publishes and nothing has come, there is nothing to wait
     for, unless the source is required.
-
-    Attributes:
-        terms: May be changed at any time.
     """
 
     def __init__(self, topic: str, terms: SourceTerms) -> None:

@@ -21,15 +21,7 @@ TIME_JUMP = 0.1
 
 
 def demand_not_ahead(lead: float, most: float) -> None:
-    """Check that a stamp is not too far ahead of the receiver's clock.
-
-    Args:
-        lead: Time that it is ahead [s]; negative if it is past.
-        most: Largest time that it may be ahead [s].
-
-    Raises:
-        InputError: It is further ahead.
-    """
+    """Raise InputError for a stamp further ahead of the receiver's clock [s] than `most` [s]."""
     if lead > most:
         raise InputError(f"the stamp is {lead:.3f} s ahead, at most {most:g} s are accepted")
 

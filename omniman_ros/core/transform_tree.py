@@ -24,11 +24,7 @@ MAX_DEPTH = 100  #: Largest number of frames between a frame and the root; a loo
 
 
 class TransformError(InputError):
-    """A frame cannot be transformed into another one.
-
-    Attributes:
-        may_come: Whether the transform may arrive yet.
-    """
+    """A frame cannot be transformed into another one; `may_come` if it still may arrive."""
 
     may_come = True
 
@@ -125,8 +121,6 @@ class TransformTree:
             name: frame for name, frame in self._frames.items() if keep_static and frame.is_static
         }
 
-    # ---- transforms that come in ----------------------------------------------------------------
-
     def insert(
         self,
         parent: str,
@@ -156,8 +150,6 @@ class TransformTree:
         if known is None or known.parent != parent or known.is_static or is_static:
             known = self._frames[child] = _Frame(parent, is_static)
         known.insert(time, _normalised(transform), now)
-
-    # ---- lookup ---------------------------------------------------------------------------------
 
     def lookup(self, target: str, source: str, time: float | None) -> Transform:
         """Return the transform that takes coordinates of `source` to `target`.

@@ -40,11 +40,7 @@ class UnheardPublishers:
             self._heard.append(now)
 
     def vanish(self, now: float, present: int) -> None:
-        """Register that a publisher has gone.
-
-        Args:
-            present: Number of publishers that are left.
-        """
+        """Register that a publisher has gone, and how many are present."""
         if self._unheard and 0.0 <= now - self._unheard[-1] <= SHORT_VISIT:
             self._unheard.pop()
             self._gone.append(now)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.dynamics import PlatformDynamics
-from omniman_ros.control.external_force import OBSERVER_TIME, ExternalForceObserver
+from omniman_ros.control.held_robot import OBSERVER_TIME, ExternalForceObserver
 from omniman_ros.control.kinematics import PlatformKinematics
 from test import robots
 

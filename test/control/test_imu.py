@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from omniman_ros.control.held_robot import MotionComparison
 from omniman_ros.control.imu import FROZEN_TIME, NONE_YET, ImuFeedback, ImuParameters
-from omniman_ros.control.motion_comparison import MotionComparison
-from omniman_ros.control.odometry import Odometry, OdometryParameters
-from omniman_ros.control.pose_covariance import PoseCovariance
+from omniman_ros.control.odometry import Odometry, OdometryParameters, PoseCovariance
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
