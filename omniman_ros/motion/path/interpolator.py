@@ -67,8 +67,6 @@ class PathInterpolator:
         self._trajectory: Trajectory | None = None
         self._since = 0.0
 
-    # ---- paths --------------------------------------------------------------------------------
-
     def propose(
         self, poses: Array, pose: tuple[float, float, float], now: float, lead: float = 0.0
     ) -> Proposal:
@@ -172,8 +170,6 @@ class PathInterpolator:
         curve, at = self.plan.route.curves[section], np.array([u])
         return curve.at(at)[0], curve.slope(at)[0] * rate
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def pause(self, now: float) -> None:
         """Come to rest on the path as soon as the limits allow; a repeated request has no effect.
 
@@ -244,8 +240,6 @@ class PathInterpolator:
         """Forget the path at once, as another source drives or nothing may move."""
         self._trajectory = None
         self.state = PathState.IDLE
-
-    # ---- output -------------------------------------------------------------------------------
 
     def update(self, now: float) -> None:
         """Update the state when the motion has come to rest.

@@ -41,11 +41,7 @@ class JointProposal:
 class JointMotion:
     """A curve that the joints follow from a time on, with its own pace.
 
-    Args:
-        limits: Limits that changes of the pace keep.
-
-    Attributes:
-        pace: Pace of this motion; 1 except for pauses and stops.
+    The pace is 1 except for pauses and stops; its changes keep the limits.
     """
 
     def __init__(self, curve: TimedCurve, start: float, limits: AxisLimits) -> None:
@@ -86,8 +82,6 @@ class JointInterpolator:
         # Motions that were replaced, each after the time at which it was replaced [s].
         self._before: list[tuple[float, JointMotion]] = []
         self._since = -math.inf
-
-    # ---- trajectories -------------------------------------------------------------------------
 
     def propose(
         self,
@@ -170,8 +164,6 @@ class JointInterpolator:
         rows = (np.vstack([a, b[1:]]) for a, b in zip(stop, parts, strict=True))
         return TimedCurve(times, *rows)
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def pause(self, now: float) -> None:
         """Come to rest on the path as soon as the limits allow; a repeated request has no effect.
 
@@ -196,11 +188,7 @@ class JointInterpolator:
         self.state = PathState.CANCELLING
 
     def resume(self, now: float) -> None:
-        """Continue after a pause, or during the braking for one.
-
-        Raises:
-            RefusedError: The motion is not paused.
-        """
+        """Continue after a pause or during its braking; RefusedError if it is not paused."""
         if self.state not in (PathState.PAUSING, PathState.PAUSED):
             raise RefusedError(f"no pause to end: {self.state.value}")
         self._aim(1.0, now)
@@ -215,8 +203,6 @@ class JointInterpolator:
     def _aim(self, target: float, now: float) -> None:
         assert self._motion is not None
         self._motion.pace.aim(target, now, self._since)
-
-    # ---- output -------------------------------------------------------------------------------
 
     def update(self, now: float) -> None:
         """Update the state when the motion has come to rest."""

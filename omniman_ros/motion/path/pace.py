@@ -172,8 +172,6 @@ class Pace:
         other._knots(list(knots))
         return other
 
-    # ---- parts ------------------------------------------------------------------------------
-
     @property
     def _settled(self) -> bool:
         return not self._times or (self._rates[-1] == self.target and self._slopes[-1] == 0.0)

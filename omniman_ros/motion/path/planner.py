@@ -28,11 +28,7 @@ EXIT_LENGTH = 1.1
 
 
 class Route:
-    """Sequence of curves with a rest at the end of each.
-
-    Args:
-        curves: Curves, each of which starts where the one before ends.
-    """
+    """Sequence of curves, each from the end of the one before, with a rest at the end of each."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
         self.curves = tuple(curves)
@@ -149,8 +145,6 @@ class PathPlanner:
             return self._resting(route, section, np.array([u]))
         profile = self._profiler.quickest_stop(route.curves[section], u, rate)
         return self._sampled(route, section, profile)
-
-    # ---- parts ------------------------------------------------------------------------------
 
     def _chosen(self, points: Array, velocity: Array | None) -> Plan:
         fine, coarse = (

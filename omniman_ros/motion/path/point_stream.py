@@ -18,9 +18,8 @@ class PointStream:
     def offer(self, now: float, refusal: str, pause: float) -> str:
         """Register a point; return why it is not used, or an empty string.
 
-        Args:
-            refusal: Why no point may move the arm now, or an empty string.
-            pause: Time for which a stream that lost control must be silent [s].
+        No point may move the arm for a `refusal`. After a `pause` [s] a stream that lost control
+        is used again.
         """
         if now - self._received > pause:
             self._lost = ""

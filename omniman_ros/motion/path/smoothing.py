@@ -33,10 +33,8 @@ class Smoother:
 
     The positions at the ticks define a motion with piecewise constant acceleration, each value an
     average of the path's own acceleration, and this motion is averaged over the window. The result
-    is a cubic polynomial between ticks, so that x, x' and x'' at the ticks determine all of it.
-
-    Attributes:
-        memory: Number of positions before a tick that it depends on.
+    is a cubic polynomial between ticks, so that x, x' and x'' at the ticks determine all of it. A
+    tick depends on `memory` positions before it.
     """
 
     def __init__(self, ticks: int, dt: float) -> None:

@@ -43,9 +43,7 @@ def minimum_jerk(
     """Return velocities and accelerations (n, d) that minimise the integral of x'''^2.
 
     This is the quintic spline, which is continuous up to the fourth derivative at inner points.
-
-    Args:
-        velocity, acceleration: (d,) of the first point; the last point is at rest.
+    The last point is at rest.
     """
     n, d = positions.shape
     v, a = np.zeros((n, d)), np.zeros((n, d))

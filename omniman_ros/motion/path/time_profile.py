@@ -35,12 +35,11 @@ Row = tuple[float, float, float, float]
 class TimeProfile:
     """Speed along a curve: u'^2 at nodes, u'' constant between them.
 
+    The `times` (n + 1,) are from the start [s].
+
     Args:
         nodes: (n + 1,) u at the nodes [s].
         squares: (n + 1,) u'^2 at the nodes.
-
-    Attributes:
-        times: (n + 1,) time from the start [s].
     """
 
     def __init__(self, nodes: Array, squares: Array) -> None:

@@ -102,10 +102,7 @@ class Trajectory:
     def continued(self, now: float, index: int, ticks: Ticks) -> "Trajectory":
         """Return this motion up to a tick, followed by other ticks from that tick on.
 
-        Ticks before `now` [s] are dropped.
-
-        Args:
-            index: Index of the tick at which the other ticks start.
+        Ticks before `now` [s] are dropped. The others start at the tick `index`.
         """
         first, memory = min(self.index(now), index), self._smoother.memory
         history = self._raw[np.minimum(np.arange(first, first + memory), len(self._raw) - 1)]

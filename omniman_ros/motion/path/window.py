@@ -9,11 +9,7 @@ from omniman_ros.motion.path.pace import Pace
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a stream of d axes.
-
-    Attributes:
-        positions, velocities, accelerations: Motion (k, d) at these times, in SI units.
-    """
+    """A stretch of a stream of d axes: the motion (k, d) at its times, in SI units."""
 
     times: Array  #: Times (k,) [s]
     positions: Array

@@ -7,6 +7,7 @@ stops and a station that is moved are one case.
 """
 
 import math
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -20,8 +21,6 @@ from omniman_ros.core.planar import Triple
 from omniman_ros.motion.path.pace import LEAD
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window
-from omniman_ros.motion.station.approach import Vector, approach_speed, way_around
-from omniman_ros.motion.station.leader import Leader
 from omniman_ros.motion.station.parameters import StationParameters
 
 LEAVING = 2.0  #: Multiple of the tolerances above which a kept station counts as approached again
@@ -35,6 +34,84 @@ class StationState(Enum):
     KEEPING = "keeping station"
     WAITING = "waiting for the leader"
     BRAKING = "braking"
+
+
+@dataclass(frozen=True)
+class Leader:
+    """The leader at the time of a measurement; its twist is taken to be constant from then on."""
+
+    time: float  #: Time of the measurement [s]
+    pose: Triple  #: Pose of its base_link in odom of the follower [m, m, rad]
+    twist: Array  #: Twist (3,) in its base_link [m/s, m/s, rad/s]
+
+    def predicted_pose(self, time: float) -> Triple:
+        """Return the pose at a time [s], in odom of the follower [m, m, rad]."""
+        return se2.compose(self.pose, se2.arc(self.twist * (time - self.time)))
+
+    def station(self, offset: Triple, time: float) -> tuple[Triple, Triple]:
+        """Return pose and velocity of a station at a time, in odom of the follower.
+
+        A station at (a, b) in base_link of the leader, whose twist is (x', y', theta'), moves
+        at (x' - theta' b, y' + theta' a, theta') there.
+
+        Returns:
+            Pose [m, m, rad], whose heading is not wrapped, and velocity [m/s, m/s, rad/s].
+        """
+        pose = self.predicted_pose(time)
+        x_rate, y_rate, yaw_rate = self.twist.tolist()
+        ux, uy = x_rate - yaw_rate * offset[1], y_rate + yaw_rate * offset[0]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        return se2.compose(pose, offset), (c * ux - s * uy, s * ux + c * uy, yaw_rate)
+
+
+Vector = tuple[float, float]  #: A vector in the plane [m] or [m/s]
+
+
+def approach_speed(distance: float, gain: float, deceleration: float) -> float:
+    """Return the speed with which to close a distance, of the distance's sign.
+
+    It is proportional to small distances, and the square root that a constant deceleration gives
+    for larger ones; both have the same slope where they meet.
+
+    Args:
+        distance: Distance [m or rad].
+        gain: Slope for small distances [1/s].
+        deceleration: Deceleration for larger ones [m/s^2 or rad/s^2].
+    """
+    proportional = deceleration / gain**2
+    if abs(distance) <= proportional:
+        return gain * distance
+    speed = math.sqrt(2.0 * deceleration * (abs(distance) - 0.5 * proportional))
+    return math.copysign(speed, distance)
+
+
+def way_around(start: Vector, goal: Vector, radius: float) -> tuple[float, Vector]:
+    """Return the shortest way to a goal around a disc at the origin.
+
+    Args:
+        start: Place at which the way starts [m]; inside the disc, it starts as a tangent there.
+        goal: Place at which it ends [m], outside of the disc or on its edge.
+
+    Returns:
+        Length of the way [m], and its direction at the start: a unit vector, zero at the goal.
+    """
+    dx, dy = goal[0] - start[0], goal[1] - start[1]
+    length = math.hypot(dx, dy)
+    if length == 0.0:
+        return 0.0, (0.0, 0.0)
+    nearest = -(start[0] * dx + start[1] * dy) / length
+    miss = abs(start[0] * dy - start[1] * dx) / length
+    if miss >= radius or not 0.0 < nearest < length:
+        return length, (dx / length, dy / length)
+    from_start, from_goal = max(math.hypot(*start), radius), max(math.hypot(*goal), radius)
+    cross = start[0] * goal[1] - start[1] * goal[0]
+    dot = start[0] * goal[0] + start[1] * goal[1]
+    arc = math.atan2(abs(cross), dot)
+    arc -= math.acos(radius / from_start) + math.acos(radius / from_goal)
+    straight = math.sqrt(from_start**2 - radius**2) + math.sqrt(from_goal**2 - radius**2)
+    tangent = math.copysign(math.asin(radius / from_start), -cross)
+    heading = math.atan2(-start[1], -start[0]) + tangent
+    return straight + radius * max(arc, 0.0), (math.cos(heading), math.sin(heading))
 
 
 class StationKeeper:
@@ -83,8 +160,6 @@ class StationKeeper:
         pairs = zip(limits.velocity, limits.deceleration, limits.jerk, strict=True)
         return max(velocity / rate + rate / jerk for velocity, rate, jerk in pairs)
 
-    # ---- leader -------------------------------------------------------------------------------
-
     def update_leader(self, time: float, pose: Triple, twist: Array) -> None:
         """Take over the odometry of the leader; what is not newer than the last is ignored.
 
@@ -111,8 +186,6 @@ class StationKeeper:
     def leader_silence(self, now: float) -> float:
         """Return the age of the leader's odometry [s]; infinite if there is none."""
         return math.inf if self._leader is None else now - self._leader.time
-
-    # ---- requests -----------------------------------------------------------------------------
 
     def keep(self, offset: Triple, pose: Triple, now: float) -> None:
         """Approach a station and keep it, from rest or in place of another station.
@@ -153,14 +226,8 @@ class StationKeeper:
         """Forget the station at once, as something else drives or nothing may move."""
         self.state, self.reason = StationState.IDLE, reason
 
-    # ---- output -------------------------------------------------------------------------------
-
     def update(self, pose: Triple, time: float, now: float) -> None:
-        """Update error and state.
-
-        Args:
-            time: Time of its measurement [s].
-        """
+        """Update error and state with a pose that was measured at `time` [s]."""
         if self._leader is not None:
             self.error = _difference(pose, self._leader.station(self.offset, time)[0])
         if self.state is StationState.BRAKING:

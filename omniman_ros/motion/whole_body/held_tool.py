@@ -6,11 +6,7 @@ from omniman_ros.core.arrays import Array
 
 
 class HeldTool:
-    """A pose in odom, whatever the parameter of the path is; see `ToolCurve`.
-
-    Args:
-        pose: Pose (4, 4) of `tool0` in odom.
-    """
+    """A pose (4, 4) of `tool0` in odom, whatever the parameter of a path; see `ToolCurve`."""
 
     end = 0.0
 

@@ -117,8 +117,6 @@ class ToolTimer:
         samples = _Samples(path, self._groups, self._wheels)
         return self._kept(path, self._progress(samples))
 
-    # ---- parts ------------------------------------------------------------------------------
-
     def _progress(self, samples: "_Samples") -> PathProgress:
         profile, scale = samples.profile(self._spread(samples.u, samples.tops()))
         duration = profile.duration + (self.window + 2) * TICK

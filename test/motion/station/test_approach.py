@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.motion.station.approach import approach_speed, way_around
+from omniman_ros.motion.station.keeper import approach_speed, way_around
 
 RADIUS = 1.2
 

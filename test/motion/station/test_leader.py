@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core import se2
-from omniman_ros.motion.station.leader import Leader
+from omniman_ros.motion.station.keeper import Leader
 
 LEADER = Leader(2.0, (1.0, -0.5, 0.7), np.array([0.3, -0.1, 0.4]))
 OFFSET = (0.2, -1.3, 0.5)

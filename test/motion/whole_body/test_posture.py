@@ -5,9 +5,8 @@ import pytest
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.motion.whole_body.posture import PostureResolver, solve_block_tridiagonal
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
-from omniman_ros.motion.whole_body.tridiagonal import solve_block_tridiagonal
 from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline, WholeBodyPath
 from test.motion.whole_body.tool_support import (
     ARM,
