@@ -39,9 +39,7 @@ def run_motion(
 ) -> int:
     """Run a motion of the robot; cancel it when a signal is received.
 
-    Raises:
-        CommandError: The motion failed.
-        KeyboardInterrupt: The motion was cancelled by a signal.
+    It raises CommandError if the motion failed, and KeyboardInterrupt once it was cancelled.
     """
     progress = Progress()
     # Signals are recorded rather than raised: a KeyboardInterrupt is lost if it is raised within a

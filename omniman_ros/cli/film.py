@@ -18,12 +18,7 @@ WIDTH_STEP = 16  #: Unit of the width, so that the height at 16:9 is whole [px]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman film`; the exit code is 0.
-
-    Raises:
-        CommandError: A library is missing, an option is refused, the recording cannot be read or
-            shows no drive, or the film cannot be written.
-    """
+    """Run `omniman film`; return 0 or raise CommandError."""
     for extra in (RECORDING, FILM):
         if not extra.is_available:
             raise CommandError(extra.hint)
@@ -51,11 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_options(args: argparse.Namespace) -> None:
-    """Check the numbers of the command line.
-
-    Raises:
-        CommandError: One is out of range.
-    """
+    """Check the numbers of the command line; CommandError if one is out of range."""
     for name, low, high in (
         ("duration", 1.0, 300.0),
         ("rate", 1.0, 50.0),

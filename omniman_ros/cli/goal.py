@@ -28,11 +28,7 @@ FAR = 50.0  #: Distance of a goal above which the command says how far it is [m]
 
 
 class GoalDriver:
-    """Sends one goal to the planner and follows it.
-
-    Args:
-        poll: Called many times a second; it raises to end the motion early.
-    """
+    """Sends one goal to the planner and follows it; `poll`, called often, may raise to end it."""
 
     def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
         self._session = session
@@ -129,11 +125,7 @@ class GoalDriver:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman goal`; the exit code is 0.
-
-    Raises:
-        CommandError: The robot does not reach the goal.
-    """
+    """Run `omniman goal`; return 0 or raise CommandError."""
     pose = (args.x, args.y, math.radians(args.heading))
     return run_motion(
         "omniman_goal",

@@ -15,11 +15,7 @@ from omniman_ros.processes.robot_setup import resolve_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman moveit`; the exit code is 0.
-
-    Raises:
-        CommandError: The options cannot be used, or a file cannot be written.
-    """
+    """Run `omniman moveit`; return 0 or raise CommandError."""
     folder = Path(args.output)
     robot, file = resolve_robot(args.robot), existing_file(args.params_file)
     try:

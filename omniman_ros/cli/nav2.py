@@ -13,11 +13,7 @@ from omniman_ros.processes.robot_setup import resolve_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman nav2`; the exit code is 0.
-
-    Raises:
-        CommandError: The options cannot be used, or the file cannot be written.
-    """
+    """Run `omniman nav2`; return 0 or raise CommandError."""
     robot, file = resolve_robot(args.robot), existing_file(args.params_file)
     try:
         parameters = nav2_parameters(

@@ -12,12 +12,7 @@ from omniman_ros.extras import RECORDING, pip_install
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman plot`; the exit code is 0.
-
-    Raises:
-        CommandError: A library is missing, the recording cannot be read, or it does not contain
-            the robot.
-    """
+    """Run `omniman plot`; return 0 or raise CommandError."""
     if not RECORDING.is_available:
         raise CommandError(RECORDING.hint)
     if find_spec("matplotlib") is None:

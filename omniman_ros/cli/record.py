@@ -38,12 +38,9 @@ SHARED_TOPICS = ("/clock", "/diagnostics", "/tf", "/tf_static")
 def run(args: argparse.Namespace) -> int:
     """Run `omniman record`.
 
-    Returns:
-        The exit code: 0 if every message that was received has been written; 1 if messages were
-        lost, or none was received.
-
-    Raises:
-        CommandError: A library is missing, or an option is refused.
+    The exit code is 0 if every message that was received has been written; 1 if messages were
+    lost, or none was received. CommandError is raised if a library is missing, or an option is
+    refused.
     """
     if not RECORDING.is_available:
         raise CommandError(RECORDING.hint)
@@ -234,11 +231,7 @@ def offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
 
 
 def message_type(name: str) -> type:
-    """Return the class of a message type, PACKAGE/msg/NAME.
-
-    Raises:
-        InputError: The type is not installed.
-    """
+    """Return the class of a message type PACKAGE/msg/NAME; InputError if not installed."""
     package, _, short_name = name.split("/")
     try:
         found: type = getattr(importlib.import_module(f"{package}.msg"), short_name)

@@ -11,11 +11,7 @@ from omniman_ros.yaml_files import parse_value
 
 
 def existing_file(file: str | None) -> str | None:
-    """Return the path of a parameter file, if one is given.
-
-    Raises:
-        CommandError: The file does not exist.
-    """
+    """Return the path of a parameter file, if given; CommandError if it does not exist."""
     if file is not None and not Path(file).is_file():
         raise CommandError(f"there is no parameter file '{file}'", 2)
     return file

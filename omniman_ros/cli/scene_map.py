@@ -18,11 +18,7 @@ OCCUPIED, FREE = 0, 254
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman map`; the exit code is 0.
-
-    Raises:
-        CommandError: The scene or the resolution cannot be used, or a file cannot be written.
-    """
+    """Run `omniman map`; return 0 or raise CommandError."""
     stem = Path(args.output or Path(args.scene).stem)
     try:
         grid = occupancy(load_scene(args.scene), args.resolution, args.height)

@@ -16,12 +16,8 @@ def call_all(
 ) -> int:
     """Call a service of all nodes that can be stopped, and write a line about each answer.
 
-    Args:
-        action: Name of the service: "stop" or "reset".
-        namespace: Namespace of the nodes to call; empty means all nodes.
-
-    Returns:
-        The exit code: 0 if there were such nodes and the call succeeded on each of them, else 1.
+    The action is "stop" or "reset"; an empty namespace means all nodes. The exit code is 0 if
+    there were such nodes and the call succeeded on each of them, else 1.
     """
 
     def report(name: str, success: bool, message: str) -> None:

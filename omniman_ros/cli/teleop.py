@@ -205,11 +205,7 @@ def teleoperate(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman teleop`; the exit code is 0.
-
-    Raises:
-        CommandError: A speed is refused, or stdin is not a terminal.
-    """
+    """Run `omniman teleop`; return 0 or raise CommandError."""
     for name in ("linear", "angular"):
         if not 0.0 < getattr(args, name) < 100.0:
             raise CommandError(f"--{name} must be above 0, got {getattr(args, name):g}", 2)

@@ -25,11 +25,7 @@ Position = tuple[float, float, float]  #: Position (x, y, z) of the tool [m]
 
 
 class ToolDriver:
-    """Sends one path of the tool and follows it.
-
-    Args:
-        poll: Called many times a second; it raises to end the motion early.
-    """
+    """Sends one path of the tool and follows it; `poll`, called often, may raise to end it."""
 
     def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
         self._session, self._progress, self._poll = session, progress, poll
@@ -131,11 +127,7 @@ class ToolDriver:
 
 
 def straight_path(start: Position, end: Position) -> Path:
-    """Return a straight path of the tool, on which it keeps its orientation.
-
-    Returns:
-        A path of two poses, whose quaternions are zero: the tool keeps its orientation.
-    """
+    """Return a path of two poses; zero quaternions mean that the tool keeps its orientation."""
     path = Path()
     path.header.frame_id = "odom"
     for x, y, z in (start, end):
@@ -148,11 +140,7 @@ def straight_path(start: Position, end: Position) -> Path:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman tool`; the exit code is 0.
-
-    Raises:
-        CommandError: The tool does not arrive.
-    """
+    """Run `omniman tool`; return 0 or raise CommandError."""
     position = (args.x, args.y, args.z)
     return run_motion(
         "omniman_tool",

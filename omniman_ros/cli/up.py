@@ -14,11 +14,7 @@ from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman up`; the exit code is that of :func:`supervise`.
-
-    Raises:
-        CommandError: The options cannot be used.
-    """
+    """Run `omniman up`; return the exit code of :func:`supervise`, or raise CommandError."""
     setup = RobotSetup(
         robot=args.robot,
         only=args.only or (),
@@ -75,9 +71,8 @@ def is_simulated(args: argparse.Namespace) -> bool:
 def supervise(nodes: ProcessGroup) -> int:
     """Wait for a signal or for the end of an essential node, then stop all nodes in order.
 
-    Returns:
-        The exit code: 0 after a signal, if all nodes came to rest; 1 if a node ended by itself,
-        did not come to rest, or was killed.
+    The exit code is 0 after a signal, if all nodes came to rest; 1 if a node ended by itself, did
+    not come to rest, or was killed.
     """
     event = nodes.next_event()
     if isinstance(event, ProcessExit):

@@ -14,11 +14,7 @@ from omniman_ros.processes.robot_setup import resolve_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman urdf`; the exit code is 0.
-
-    Raises:
-        CommandError: The options cannot be used, or the file cannot be written.
-    """
+    """Run `omniman urdf`; return 0 or raise CommandError."""
     text = make_urdf(args.robot, args.param, args.params_file)
     write_file_or_stdout(args.output, text)
     return 0

@@ -72,9 +72,6 @@ def save_figure(figure: Any, path: Path) -> Path:
     """Save a figure in the format given by the file's suffix, and close it; return the path.
 
     The folder of the file is created if it does not exist.
-
-    Raises:
-        OSError: The file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     try:

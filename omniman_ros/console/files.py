@@ -11,11 +11,7 @@ from omniman_ros.console.terminal import write_output
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a text file completely or not at all; create its folder where it does not exist.
-
-    Raises:
-        OSError: The file cannot be written.
-    """
+    """Write a text file completely or not at all; create its folder where it does not exist."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
         file.write(text)
@@ -25,11 +21,7 @@ def write_atomically(path: Path, text: str) -> None:
 
 @contextmanager
 def output_errors(option: str) -> Iterator[None]:
-    """Turn an error of writing a file into an error of the option `--output`.
-
-    Raises:
-        CommandError: A file cannot be written.
-    """
+    """Turn an error of writing a file into a CommandError of the option `--output`."""
     try:
         yield
     except OSError as error:

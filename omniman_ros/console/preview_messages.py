@@ -31,11 +31,7 @@ def twist_message(twist: Triple) -> Twist:
 
 
 def preview_point(sample: PlanarSample, after: Duration) -> MultiDOFJointTrajectoryPoint:
-    """Return a sample as a point of a preview.
-
-    Args:
-        after: Time of the sample, from the stamp of the message's header.
-    """
+    """Return a sample as a point of a preview, a time after the stamp of its header."""
     x, y, theta = sample.pose
     pose = Transform(translation=Vector3(x=x, y=y), rotation=quaternion_from_yaw(theta))
     return MultiDOFJointTrajectoryPoint(
@@ -47,11 +43,7 @@ def preview_point(sample: PlanarSample, after: Duration) -> MultiDOFJointTraject
 
 
 def preview_message(motion: Motion, now: Time, start: Time) -> MultiDOFJointTrajectory:
-    """Return a preview of the next 0.3 s of a motion.
-
-    Args:
-        motion: Motion in odom; where it ends within the preview, the preview ends at rest.
-    """
+    """Return a preview of the next 0.3 s of a motion, at rest from the end of the motion."""
     message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
     message.header.frame_id = "odom"
     message.header.stamp = now.to_msg()

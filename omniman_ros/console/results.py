@@ -38,9 +38,6 @@ def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results"
     """Write a result with :func:`save`, print it as the last line, and return the file's path.
 
     Floats are rounded to four significant digits. The folder is created if it does not exist.
-
-    Raises:
-        OSError: The folder cannot be written.
     """
     path = save(name, result, folder)
     say(f"Written to {path}:")

@@ -36,11 +36,7 @@ FIELD_PATTERN = re.compile(r"^([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-
 
 
 class MessageDefinitions:
-    """Finds the definitions of message types.
-
-    Args:
-        prefixes: Folders in which packages are installed; the first one that has a type is used.
-    """
+    """Finds the definitions of message types below prefixes; the first that has one counts."""
 
     def __init__(self, prefixes: Sequence[Path] = ()) -> None:
         self._prefixes = tuple(prefixes)

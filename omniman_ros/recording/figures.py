@@ -80,9 +80,6 @@ def draw_figures(log: RobotLog, folder: Path, prefix: str) -> dict[str, Path]:
     return drawn
 
 
-# ---- top view -------------------------------------------------------------------------------
-
-
 def draw_way(log: RobotLog) -> Any:
     """Draw the path of the platform from above: x points up, y to the left."""
     figure, axes = pyplot.subplots(figsize=(7, 6.5), layout="constrained")
@@ -137,9 +134,6 @@ def _draw_headings(axes: Any, odom: Array) -> None:
         scale=22,
         zorder=5,
     )
-
-
-# ---- panels over time -----------------------------------------------------------------------
 
 
 def _panels(log: RobotLog, titles: Sequence[str]) -> tuple[Any, list[Any]]:

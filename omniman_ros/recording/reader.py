@@ -1,5 +1,6 @@
 """Reading of rosbag2 recordings, MCAP or SQLite, with the definitions that they contain."""
 
+import shutil
 import struct
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
@@ -14,7 +15,6 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from omniman_ros.core.errors import FileError, InputError
-from omniman_ros.recording.unfinished import finish_copy, is_unfinished
 from omniman_ros.yaml_files import read_yaml
 
 _DAMAGE_ERRORS = (
@@ -32,6 +32,37 @@ _INFORMATION = "rosbag2_bagfile_information"  #: Key below which that file has i
 #: Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
 #: empty sequence would begin, and the library expects nothing there. They have any value.
 _ALIGNMENT = 4
+
+
+MAGIC = b"\x89MCAP0\r\n"  #: First and last bytes of a complete file
+_HEAD = struct.Struct("<BQ")  #: Opcode and length of a record
+#: End of the data and footer, both without a checksum, and without a summary
+_END = _HEAD.pack(0x0F, 4) + bytes(4) + _HEAD.pack(0x02, 20) + bytes(20) + MAGIC
+
+
+def is_unfinished(file: Path) -> bool:
+    """Return whether a file begins as an MCAP file and does not end as one."""
+    with file.open("rb") as data:
+        begin = data.read(len(MAGIC))
+        data.seek(-len(begin), 2)
+        return begin == MAGIC and (data.tell() == 0 or data.read() != MAGIC)
+
+
+def finish_copy(file: Path, target: Path) -> None:
+    """Copy an unfinished file up to its last complete record, and finish the copy."""
+    shutil.copyfile(file, target)
+    with target.open("r+b") as copy:
+        size = copy.seek(0, 2)
+        end = len(MAGIC)
+        while end + _HEAD.size <= size:
+            copy.seek(end)
+            _, length = _HEAD.unpack(copy.read(_HEAD.size))
+            if length > size - end - _HEAD.size:
+                break
+            end += _HEAD.size + length
+        copy.seek(end)
+        copy.truncate()
+        copy.write(_END)
 
 
 class BagReader:
@@ -94,8 +125,7 @@ class BagReader:
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, float, Any]]:
         """Yield the messages of some topics in the order of their arrival.
 
-        Yields:
-            Topic, time of arrival [s] and message.
+        Each comes with its topic and its time of arrival [s].
 
         Raises:
             InputError: The recording is damaged.
@@ -125,11 +155,7 @@ def _check_metadata(file: Path) -> None:
 
 
 def _unfinished_file(path: Path) -> Path | None:
-    """Return the file of a recording whose process was killed, or None.
-
-    Raises:
-        OSError: A file cannot be read.
-    """
+    """Return the file of a recording whose process was killed, or None."""
     if path.is_dir() and not (path / _METADATA).exists():
         files = sorted(path.glob("*.mcap"))
     else:

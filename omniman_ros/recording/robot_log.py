@@ -85,11 +85,7 @@ class RobotLog:
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time of all tables [s].
-
-        Raises:
-            InputError: All tables are empty.
-        """
+        """First and last time of all tables [s]; InputError if all tables are empty."""
         tables = [t for t in vars(self).values() if isinstance(t, np.ndarray) and len(t)]
         if not tables:
             raise InputError("the recording contains no data of a robot")
@@ -155,11 +151,7 @@ def reference_errors(poses: Array, reference: Array) -> Array:
 
 
 class _Collector:
-    """Collects the rows of a robot's tables from messages.
-
-    Attributes:
-        handlers: Handler of each topic, called with the time of arrival [s] and a message.
-    """
+    """Collects the rows of a robot's tables from messages; the handlers are by topic."""
 
     def __init__(self) -> None:
         self._stamped: dict[str, list[_Row]] = {}
@@ -211,8 +203,6 @@ class _Collector:
         times = self._clock.to_ros_time(np.array([time for time, _ in self._sources]))
         log.sources = [(float(t), s) for t, (_, s) in zip(times, self._sources, strict=True)]
         return log
-
-    # ---- handlers of the topics -------------------------------------------------------------
 
     def _on_odom(self, arrival: float, message: Any) -> None:
         _append(self._stamped, "odom", *_motion(message))

@@ -108,11 +108,7 @@ class BagWriter:
             self._changed.notify()
 
     def put(self, topic: str, stamp: int, data: bytes) -> bool:
-        """Queue a message to be written, or count it as dropped; return whether it is queued.
-
-        Args:
-            data: The serialised message (CDR).
-        """
+        """Queue a message (CDR), or count it as dropped; return whether it is queued."""
         with self._changed:
             if self.failure or self._queued_bytes + len(data) > self._max_queued_bytes:
                 self.dropped[topic] += 1
@@ -121,8 +117,6 @@ class BagWriter:
             self._queue.append((topic, stamp, data))
             self._changed.notify()
         return True
-
-    # ---- thread -----------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:

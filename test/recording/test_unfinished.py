@@ -12,8 +12,7 @@ pytest.importorskip("rosbags", reason="rosbags is not installed (extra 'record')
 from mcap.reader import NonSeekingReader
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.recording.reader import BagReader
-from omniman_ros.recording.unfinished import finish_copy, is_unfinished
+from omniman_ros.recording.reader import BagReader, finish_copy, is_unfinished
 from test.recording import support as s
 
 COUNT = 12_000

@@ -30,11 +30,7 @@ def add_parameters(parser: argparse._ActionsContainer, text: str = PARAMETER_HEL
 
 
 def add_results(parser: argparse.ArgumentParser, content: str = "JSON file") -> None:
-    """Add `--results`, the folder of the results.
-
-    Args:
-        content: Content of the folder that the command writes, for the help text.
-    """
+    """Add `--results`, the folder of the results, with its content in the help text."""
     parser.add_argument(
         "--results",
         default="results",

@@ -85,11 +85,7 @@ def fitted_camera(points: Array, size: tuple[int, int], margins: Array) -> Camer
 
 
 def _centred(camera: Camera, points: Array, margins: Array) -> tuple[bool, Camera]:
-    """Return the camera moved so that points lie in the middle, and whether it shows all of them.
-
-    Args:
-        points: (k, 3) points [m].
-    """
+    """Return the camera moved so that points (k, 3) [m] are central, and whether it shows all."""
     size = np.array(camera.size, dtype=float)
     middle = 0.5 * (margins[:, 0] + size - margins[:, 1])
     focal = 0.5 * size[0] / math.tan(0.5 * FIELD_OF_VIEW)

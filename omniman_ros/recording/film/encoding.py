@@ -24,7 +24,7 @@ def write_film(
     most_bytes: int,
     report: Callable[[int, int], None] = lambda quality, size: None,
 ) -> int:
-    """Write a film; return its size [bytes].
+    """Write a film at the best quality whose file is small enough; return its size [bytes].
 
     Args:
         rate: Frames per second.
@@ -48,11 +48,7 @@ def write_film(
 
 
 def encoded(frames: Sequence[Any], rate: float, quality: int) -> bytes:
-    """Return frames as an animated WebP that is repeated forever.
-
-    Args:
-        quality: Quality of the compression, 0 to 100.
-    """
+    """Return frames as an animated WebP that is repeated forever, of a quality of 0 to 100."""
     times = [round(1e3 * k / rate) for k in range(len(frames) + 1)]
     durations = [after - before for before, after in pairwise(times)]
     durations[-1] += round(1e3 * LAST_FRAME)

@@ -85,8 +85,6 @@ class Film:
                 yield image
             before += shot.on_screen
 
-    # ---- what is seen -------------------------------------------------------------------------
-
     def pose(self, time: float) -> Triple:
         """Return the robot's pose in `odom` at a ROS time [s]."""
         return _interpolated_pose(self._log.robot.odom, time)

@@ -219,11 +219,7 @@ class _Collector:
 
 
 def _solid(marker: Any) -> Solid:
-    """Return the body that a marker shows.
-
-    Raises:
-        InputError: A number of it is not finite.
-    """
+    """Return the body that a marker shows; InputError if a number of it is not finite."""
     position, scale, q = marker.pose.position, marker.scale, marker.pose.orientation
     yaw = float(np.arctan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z)))
     low, high = position.z - 0.5 * scale.z, position.z + 0.5 * scale.z
@@ -235,11 +231,7 @@ def _solid(marker: Any) -> Solid:
 
 
 def _positions(message: Any) -> Array:
-    """Return the positions (n, 3) of a path [m].
-
-    Raises:
-        InputError: A number of it is not finite.
-    """
+    """Return the positions (n, 3) of a path [m]; InputError if a number of it is not finite."""
     points = [stamped.pose.position for stamped in message.poses]
     rows = np.array([(p.x, p.y, p.z) for p in points], dtype=float).reshape(-1, 3)
     if not np.isfinite(rows).all():

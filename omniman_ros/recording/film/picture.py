@@ -52,11 +52,7 @@ class FloorLine:
 
 @dataclass(frozen=True)
 class Caption:
-    """What is written into a picture.
-
-    Attributes:
-        title, subtitle: Texts at the upper left.
-    """
+    """What is written into a picture; title and subtitle are at the upper left."""
 
     title: str
     subtitle: str
@@ -145,11 +141,7 @@ def shaded(triangles: Triangles) -> Array:
 
 
 class CaptionWriter:
-    """Writes captions into pictures.
-
-    Args:
-        size: Width and height of the pictures [px].
-    """
+    """Writes captions into pictures of one width and height [px]."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size

@@ -17,11 +17,7 @@ Image = NDArray[np.uint8]  #: Image (rows, columns, 3): red, green and blue, 0 t
 
 
 class Rasterizer:
-    """An image with a depth buffer, into which triangles are drawn.
-
-    Args:
-        image: Background, which is not changed.
-    """
+    """A copy of a background with a depth buffer, into which triangles are drawn."""
 
     def __init__(self, image: Image) -> None:
         self.image = image.copy()

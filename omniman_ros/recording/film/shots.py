@@ -35,11 +35,7 @@ _HALVINGS = 40  #: Number of halvings of the search for the common speed
 
 @dataclass(frozen=True)
 class Shot:
-    """A part of the drive that is shown.
-
-    Attributes:
-        start, end: ROS times [s].
-    """
+    """A part of the drive that is shown, between two ROS times [s]."""
 
     kind: str  #: One of `TITLES`
     start: float
