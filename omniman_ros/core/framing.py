@@ -19,7 +19,7 @@ class CmdVelFraming:
         self._remaining = 0
 
     def next(self, twist: Twist | None) -> Twist | None:
-        """Return the twist to publish; a twist of None means that none is demanded (no key is held)."""
+        """Return the twist to publish, if any; none is demanded while no key is held."""
         if twist is not None and self._remaining:
             self._remaining = self._zeros
             return twist
