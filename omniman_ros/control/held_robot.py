@@ -23,6 +23,15 @@ MAX_REPORT_GAP = 0.1  #: Longest time between two reports of torques that the es
 #: robot reverses lose as much for a few milliseconds, a robot that meets something for 0.1 s and
 #: longer.
 IMPACT_TIME = 0.012
+#: Time constant T of the observer [s]: short against the second in which a held robot must be
+#: noticed, long against the ripple of rollers and of the drives' loops.
+OBSERVER_TIME = 0.1
+RATE_FILTER_TIME = 0.1  #: Time constant of the filter of the difference of yaw rates [s]
+#: Time constant with which a difference of velocities is forgotten [s]: a collision takes a tenth
+#: of it, and a constant error of the acceleration leaves no more than its product with this.
+MEMORY = 0.5
+#: Time constant with which the acceleration at rest, by bias and tilt, is learned [s]
+BIAS_TIME = 1.0
 
 
 @dataclass(frozen=True)
@@ -86,11 +95,6 @@ class Persistence:
         """Return the time for which the condition has been true, less that since it was [s]."""
         self._duration = max(0.0, self._duration + (dt if condition else -dt))
         return self._duration
-
-
-#: Time constant T of the observer [s]: short against the second in which a held robot must be
-#: noticed, long against the ripple of rollers and of the drives' loops.
-OBSERVER_TIME = 0.1
 
 
 class ExternalForceObserver:
@@ -160,14 +164,6 @@ class ExternalForceObserver:
             )
             self.motors = self.motors + gain * (motors - self.motors)
         self._time, self._momentum = time, momentum
-
-
-RATE_FILTER_TIME = 0.1  #: Time constant of the filter of the difference of yaw rates [s]
-#: Time constant with which a difference of velocities is forgotten [s]: a collision takes a tenth
-#: of it, and a constant error of the acceleration leaves no more than its product with this.
-MEMORY = 0.5
-#: Time constant with which the acceleration at rest, by bias and tilt, is learned [s]
-BIAS_TIME = 1.0
 
 
 class MotionComparison:

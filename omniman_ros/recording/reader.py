@@ -32,10 +32,8 @@ _INFORMATION = "rosbag2_bagfile_information"  #: Key below which that file has i
 #: Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
 #: empty sequence would begin, and the library expects nothing there. They have any value.
 _ALIGNMENT = 4
-
-
 MAGIC = b"\x89MCAP0\r\n"  #: First and last bytes of a complete file
-_HEAD = struct.Struct("<BQ")  #: Opcode and length of a record
+_HEAD = struct.Struct("<BQ")  #: Opcode and length of a record, https://mcap.dev/spec
 #: End of the data and footer, both without a checksum, and without a summary
 _END = _HEAD.pack(0x0F, 4) + bytes(4) + _HEAD.pack(0x02, 20) + bytes(20) + MAGIC
 

@@ -24,6 +24,7 @@ from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.station.parameters import StationParameters
 
 LEAVING = 2.0  #: Multiple of the tolerances above which a kept station counts as approached again
+Vector = tuple[float, float]  #: A vector in the plane [m] or [m/s]
 
 
 class StationState(Enum):
@@ -62,9 +63,6 @@ class Leader:
         ux, uy = x_rate - yaw_rate * offset[1], y_rate + yaw_rate * offset[0]
         c, s = math.cos(pose[2]), math.sin(pose[2])
         return se2.compose(pose, offset), (c * ux - s * uy, s * ux + c * uy, yaw_rate)
-
-
-Vector = tuple[float, float]  #: A vector in the plane [m] or [m/s]
 
 
 def approach_speed(distance: float, gain: float, deceleration: float) -> float:
