@@ -81,12 +81,9 @@ class ArmSegments:
     def levers(self, first: int, last: int, extent: float) -> Array:
         """Return bounds (6,) of the distances of a part from the axes of the joints [m].
 
-        They are zero for joints that do not turn the part relative to the link `first`.
-
-        Args:
-            first: Number of the link relative to which the part moves.
-            last: Number of the link whose frame the part is fixed to, 6 for tool and load.
-            extent: Distance of the part's farthest point from the origin of this frame [m].
+        They are zero for joints that do not turn the part relative to the link `first`. The part
+        is fixed to the frame of the link `last`, 6 for tool and load, and `extent` is the distance
+        of its farthest point from the origin of this frame [m].
         """
         result = np.zeros(JOINTS)
         for joint in range(first, last):
@@ -94,20 +91,12 @@ class ArmSegments:
         return result
 
     def frames(self, q: Array) -> Array:
-        """Return the poses (..., 7, 4, 4) of the arm's base and links in base_link.
-
-        Args:
-            q: Joint angles (..., 6) [rad].
-        """
+        """Return poses (..., 7, 4, 4) of base and links in base_link at joint angles (..., 6)."""
         result: Array = self._base @ self._model.frames(q)
         return result
 
     def capsules(self, frames: Array) -> Segments:
-        """Return the axes (3, ..., S) of the capsules.
-
-        Args:
-            frames: Poses (..., 7, 4, 4) of the arm's base and links.
-        """
+        """Return the axes (3, ..., S) of the capsules at poses (..., 7, 4, 4) of the links."""
         chosen = frames[..., self._frame, :3, :]
         rotation, origin = chosen[..., :3], np.moveaxis(chosen[..., 3], -1, 0)
         start, end = (

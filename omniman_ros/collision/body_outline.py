@@ -24,11 +24,7 @@ DEVIATION = 0.01
 
 
 class BodyOutline:
-    """Makes footprints of a robot from the postures of its arm.
-
-    Args:
-        description: Shapes of platform and arm, and where the arm is mounted.
-    """
+    """Makes footprints of a robot from the postures of its arm."""
 
     def __init__(
         self,
@@ -47,7 +43,7 @@ class BodyOutline:
         self._lever = float(self._arm.levers(0, JOINTS, extent).max())
 
     def footprint(self, postures: Array, margin: float) -> Footprint:
-        """Return the footprint of the robot while its arm goes through postures.
+        """Return the footprint of the robot while its arm goes through postures (k, 6) [rad].
 
         Between two postures the joints move along a straight line. A point of the arm is then
         never farther from the chord between its places at two postures than d s^2 / 8, where d is
@@ -56,10 +52,7 @@ class BodyOutline:
         nearly on a straight line of the joints are left out: a point is no farther from that line
         than d times DEVIATION. Both are added to the arm's radii.
 
-        Args:
-            postures: (k, 6) joint angles, one posture or more [rad]; not used without an arm.
-            margin: Vertical gap up to which an obstacle counts as being at the height of a part
-                [m].
+        An obstacle within the vertical gap `margin` [m] counts as being at the height of a part.
 
         Raises:
             InputError: The shape is wrong, or an angle is not finite.
@@ -95,10 +88,7 @@ class BodyOutline:
 
 
 def _simplified(postures: Array) -> Array:
-    """Return the postures (n, 6) from which straight lines deviate by at most DEVIATION.
-
-    The method is that of Douglas and Peucker.
-    """
+    """Return postures (n, 6) on straight lines to DEVIATION, by Douglas and Peucker."""
     way = np.abs(np.diff(postures, axis=0)).sum(axis=1)
     along = np.concatenate([[0.0], np.cumsum(way)])
     kept, open_parts = {0, len(postures) - 1}, [(0, len(postures) - 1)]

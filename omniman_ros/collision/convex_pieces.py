@@ -6,16 +6,10 @@ Ring = list[int]  #: Numbers of the corners of a piece, counter-clockwise
 
 
 def convex_pieces(corners: Array) -> list[Array]:
-    """Return convex polygons whose union is a simple polygon.
+    """Return convex polygons (k, 2) whose union is a simple one (K, 2), all counter-clockwise [m].
 
     Ears are cut off until triangles are left (Meisters, Polygons have ears, 1975); neighbours are
     joined again wherever the result is convex (Hertel and Mehlhorn, 1983).
-
-    Args:
-        corners: Corners (K, 2) of the polygon, counter-clockwise [m].
-
-    Returns:
-        Corners (k, 2) of each piece, counter-clockwise [m]. A convex polygon is one piece.
     """
     ring = list(range(len(corners)))
     pieces = [ring] if _is_convex(corners, ring) else _joined(corners, _triangles(corners, ring))

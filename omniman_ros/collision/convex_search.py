@@ -27,22 +27,18 @@ def distances_along(
     along: Array,
     reach: Array | float,
 ) -> Array:
-    """Return the distances between segments and convex solids; zero where they meet.
+    """Return the distances (...) between segments and convex solids; zero where they meet [m].
 
     The distance from a convex solid is a convex function of the place on the segment. Where its
     slope changes sign between the ends, the false position method (Illinois) finds the minimum; as
-    the function is convex, the slope there bounds the error.
+    the function is convex, the slope there bounds the error. Segments go from starts (3, ...)
+    along vectors (3, ...) to their ends [m]. Distances above `reach`, one or (...) [m], may be too
+    small, but are not below it.
 
     Args:
         outward: Returns a function for the n segments with indices, each (n,): the vectors to
             points (3, n) from the solids, one for each of these segments.
         bound: Lower bounds (...) of the distances, not negative [m].
-        start: Starts (3, ...) of the segments [m].
-        along: Vectors (3, ...) to their ends [m].
-        reach: Distance above which a lower bound is enough, one or (...) [m].
-
-    Returns:
-        Distances (...) [m]. Those above `reach` may be too small, but are not below it.
     """
     result = bound.copy()
     near = np.nonzero(bound <= reach)
@@ -91,12 +87,8 @@ def box_gaps(
 ) -> tuple[Array, Array, Array]:
     """Return the gaps (...) between the bounding boxes of segments and solids along each axis [m].
 
-    Args:
-        start: Starts (3, ...) of the segments [m].
-        end: Their ends (3, ...) [m].
-        lower: Three coordinates of the lower corners of the solids' boxes, each of a shape that is
-            broadcast to (...) [m].
-        upper: Those of their upper corners [m].
+    Segments have starts and ends (3, ...). The lower and upper corners of the solids' boxes are
+    given by coordinate, each of a shape that is broadcast to (...).
     """
     x, y, z = (
         np.maximum(np.maximum(np.minimum(a, b) - high, low - np.maximum(a, b)), 0.0)
@@ -114,14 +106,9 @@ def _least(
 ) -> Array:
     """Return the least squared distances (n,) of segments from their solids [m^2].
 
-    Few segments need many steps: those that are done are left out of the further ones.
-
-    Args:
-        outward: Returns the function for the segments with some of the n indices.
-        start: Starts (3, n) [m].
-        along: Vectors (3, n) to the ends [m].
-        slope_low: Slopes (n,) of half the squared distance at the starts, below zero.
-        slope_high: Those at the ends, above zero.
+    Few segments need many steps: those that are done are left out of the further ones. Starts and
+    vectors to the ends are (3, n) [m]. The slopes (n,) are those of half the squared distance,
+    below zero at the starts and above zero at the ends.
     """
     count = len(slope_low)
     squared = np.empty(count)

@@ -67,14 +67,9 @@ class Footprint:
         return self.whole.is_single
 
     def against(self, lower: Array, upper: Array) -> tuple[Rectangles, Indices]:
-        """Return the rectangles at the heights of obstacles.
+        """Return (N,) rectangles, or one for all, at the heights (M,) of obstacles [m].
 
-        Args:
-            lower: (M,) heights of the lower sides of the obstacles [m].
-            upper: (M,) heights of their upper sides [m].
-
-        Returns:
-            (N,) rectangles, or one for all; and the number (N,) of the obstacle of each.
+        The number (N,) of the obstacle of each is the second result.
         """
         if self._limbs is None and self.platform.is_single:
             return self.platform, np.flatnonzero(self._is_beside_platform(lower, upper))
@@ -140,12 +135,7 @@ class Footprint:
 
 
 def _smallest(ends: Array, radius: Array) -> Array:
-    """Return the smallest rectangle (5,), of some directions, around discs.
-
-    Args:
-        ends: (2, 2, S) centres: starts and ends, x and y [m].
-        radius: (S,) radii [m].
-    """
+    """Return the smallest rectangle (5,) around discs, starts and ends (2, 2, S), radii (S,)."""
     c, s = np.cos(DIRECTIONS)[:, None, None], np.sin(DIRECTIONS)[:, None, None]
     x, y = ends[:, 0], ends[:, 1]
     u, v = c * x + s * y, c * y - s * x

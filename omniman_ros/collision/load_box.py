@@ -30,22 +30,15 @@ class LoadBox:
         self.extent = float(np.linalg.norm(self._corners, axis=0).max())
 
     def edges(self, flange: Array) -> Segments:
-        """Return the edges (3, ..., 12) of the load.
-
-        Args:
-            flange: Poses (..., 4, 4) of the flange.
-        """
+        """Return the edges (3, ..., 12) of the load for poses (..., 4, 4) of the flange."""
         rotation, origin = flange[..., :3, :3], flange[..., :3, 3]
         corners = np.moveaxis(rotation @ self._corners + origin[..., None], -2, 0)
         return Segments(corners[..., EDGES[0]], corners[..., EDGES[1]])
 
     def distances(self, flange: Array, segments: Segments, reach: float) -> Array:
-        """Return the distances (..., S) of segments from the load [m].
+        """Return the distances (..., S) of segments (3, ..., S) from the load [m].
 
-        Args:
-            flange: Poses (..., 4, 4) of the flange.
-            segments: Segments (3, ..., S) in the same frame.
-            reach: Distance above which a lower bound is enough [m].
+        The flange has poses (..., 4, 4); above `reach` [m] a lower bound is enough.
         """
         start, end = (_in_frame(flange, points) for points in (segments.start, segments.end))
         return self._box.distances(start[..., None], end[..., None], reach)[..., 0]
@@ -54,11 +47,8 @@ class LoadBox:
         """Return the distances (..., M) of solids from the load [m].
 
         That of a rounded solid may be too small by its rounding where a side of the load, not an
-        edge, is the nearest.
-
-        Args:
-            flange: Poses (..., 4, 4) of the flange in the frame of the solids.
-            reach: Distance above which a lower bound is enough [m].
+        edge, is the nearest. The flange has poses (..., 4, 4) in the frame of the solids; above
+        `reach` [m] a lower bound is enough.
         """
         edges = self.edges(flange)
         own = solids.distances(edges.start[..., None], edges.end[..., None], reach).min(axis=-2)
@@ -79,9 +69,7 @@ class LoadBox:
     def distances_from_prism(self, flange: Array, prism: ConvexPrism, reach: float) -> Array:
         """Return the distances (...) of a prism from the load [m].
 
-        Args:
-            flange: Poses (..., 4, 4) of the flange in the frame of the prism.
-            reach: Distance above which a lower bound is enough [m].
+        The flange has poses (..., 4, 4) in its frame; above `reach` [m] a lower bound is enough.
         """
         edges = self.edges(flange)
         own = prism.distances(edges.start, edges.end, reach).min(axis=-1)

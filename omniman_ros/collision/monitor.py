@@ -128,11 +128,7 @@ class CollisionMonitor:
 
     A pair that is nearer than the margin already may not come nearer, but may part: a robot that
     has parked at a wall can leave it.
-
-    Attributes:
-        parameters: May be changed at any time.
-        limits: May be changed at any time.
-        geometry: May be changed at any time.
+    Parameters, limits and geometry may be changed at any time.
     """
 
     def __init__(
@@ -143,11 +139,7 @@ class CollisionMonitor:
     def limit(
         self, robot: RobotMotion, demands: Sequence[Array], surroundings: Surroundings
     ) -> SpeedLimit:
-        """Return the limit of the speed.
-
-        Args:
-            demands: Motions (9,) that sources ask for, in the units of the present one; only
-                their directions count.
+        """Return the limit of the speed; of the demands (9,), only the directions count.
 
         Raises:
             InputError: A pose or an angle is not finite.
@@ -186,14 +178,7 @@ class CollisionMonitor:
         outline: Rectangles,
         parameters: UnseenLimitParameters,
     ) -> UnseenLimit:
-        """Return the limit of the platform's speed by what is not seen, at least creeping speed.
-
-        Args:
-            demands: Motions (9,) that sources ask for.
-            arrivals: Where somebody could be, and when.
-            outline: Rectangles that contain the robot.
-            parameters: Radius of people, and the creeping speed.
-        """
+        """Return the platform's speed limit by what is not seen, at least creeping speed."""
         courses = [
             (course.motion[:3], self.limits.stop_time(course.motion))
             for course in self._courses([robot.motion, *demands])

@@ -8,14 +8,9 @@ from omniman_ros.core.arrays import Array
 
 
 class ConvexPrism:
-    """An upright prism with a convex outline, and its distances from line segments.
+    """An upright prism with a convex outline (K, 2), counter-clockwise [m].
 
-    Args:
-        corners: Corners (K, 2) of the outline, counter-clockwise [m].
-        heights: Heights of the lower and the upper side [m].
-
-    Attributes:
-        edges: The 3 K edges, (3, 3 K) each.
+    Its 3 K edges are (3, 3 K) each.
     """
 
     def __init__(self, corners: Array, heights: tuple[float, float]) -> None:
@@ -37,10 +32,7 @@ class ConvexPrism:
     def distances(self, start: Array, end: Array, reach: Array | float) -> Array:
         """Return the distances (...) from segments (3, ...); zero where they meet [m].
 
-        Args:
-            start: Starts of the segments [m].
-            end: Their ends [m].
-            reach: Distance above which a lower bound is enough, one or (...) [m].
+        Above `reach`, one or (...) [m], a lower bound is enough.
         """
         x, y, z = box_gaps(start, end, *self._box)
         bound = np.sqrt(x * x + y * y + z * z)

@@ -65,12 +65,7 @@ class Rectangles:
         return rows.reshape(-1, 5)
 
     def contain(self, points: Array, tolerance: float) -> Mask:
-        """Return which of the rectangles (P,) contain all points (k, 2) in base_link.
-
-        Args:
-            points: The points [m].
-            tolerance: How far a point may be outside [m].
-        """
+        """Return which rectangles (P,) contain all points (k, 2) up to a tolerance [m]."""
         rows = self.rows[:, None]
         c, s = np.cos(rows[..., 2]), np.sin(rows[..., 2])
         x, y = (points[:, i] - rows[..., i] for i in (0, 1))
@@ -80,10 +75,7 @@ class Rectangles:
         return result
 
     def distances(self, points: Array) -> Array:
-        """Return the distances (...) of points (..., 2) in base_link from all of them [m].
-
-        Points inside have the distance zero.
-        """
+        """Return the distances (...) of points (..., 2) from all of them [m], zero inside."""
         nearest = np.full(points.shape[:-1], np.inf)
         for x0, y0, yaw, length, width in self.rows.tolist():
             c, s = math.cos(yaw), math.sin(yaw)
@@ -127,11 +119,7 @@ class Rectangles:
         )
 
     def support(self, directions: Array) -> Array:
-        """Return the farthest extents (...) of all of them along directions (...) [m].
-
-        Args:
-            directions: Angles in base_link [rad].
-        """
+        """Return the farthest extents (...) of all of them along directions (...) [m, rad]."""
         corners = self.corners.reshape(-1, 2)
         along = np.stack((np.cos(directions), np.sin(directions)), axis=-1) @ corners.T
         result: Array = along.max(axis=-1)

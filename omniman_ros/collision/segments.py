@@ -17,20 +17,11 @@ def dot(a: Array, b: Array) -> Array:
 
 
 def segment_distances(first: Array, first_end: Array, second: Array, second_end: Array) -> Array:
-    """Return the distances between pairs of segments.
+    """Return the distances (...) between pairs of segments, starts and ends (3, ...) each [m].
 
     The squared distance is a convex quadratic function of the places on the two segments. Its
     minimum over the unit square is inside, where the gradient vanishes, or on one of the four
     edges: the least of these five values is taken. Segments may be parallel, or points.
-
-    Args:
-        first: Starts (3, ...) of the first segments [m].
-        first_end: Their ends (3, ...) [m].
-        second: Starts (3, ...) of the second segments [m].
-        second_end: Their ends (3, ...) [m].
-
-    Returns:
-        Distances (...) [m].
     """
     u, v, w = first_end - first, second_end - second, first - second
     uu, uv, vv = dot(u, u), dot(u, v), dot(v, v)

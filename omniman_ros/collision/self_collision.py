@@ -72,10 +72,7 @@ class SelfCollisionCheck:
         self._body, self.options = body, options
 
     def require_clear(self, curve: TimedCurve) -> None:
-        """Require that a motion keeps the robot's parts apart.
-
-        Args:
-            curve: Motion of joint angles, its last six axes [rad].
+        """Require that a motion, joints [rad] its last six axes, keeps the robot's parts apart.
 
         Raises:
             InputError: Two parts would come too near; the message says which, when and how near.

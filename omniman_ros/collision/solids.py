@@ -38,14 +38,7 @@ class UprightSolids:
     def box(
         pose: Sequence[float], length: float, width: float, heights: tuple[float, float]
     ) -> "UprightSolids":
-        """Return one box.
-
-        Args:
-            pose: Pose (x, y, yaw) of its centre [m, m, rad].
-            length: Length [m].
-            width: Width [m].
-            heights: Heights of its lower and its upper side [m].
-        """
+        """Return one box by the pose (x, y, yaw) of its centre and its lengths [m, rad]."""
         x, y, yaw = pose
         return UprightSolids(
             np.array([[x], [y]]),
@@ -110,11 +103,7 @@ class UprightSolids:
         return result
 
     def _outward(self, points: Array) -> Array:
-        """Return the vectors (3, ..., M) to points from the nearest points of the solids.
-
-        Args:
-            points: Points (3, ..., M) in the frames of the solids [m].
-        """
+        """Return vectors (3, ..., M) to points (3, ..., M) from the nearest of the solids."""
         result = np.empty(points.shape)
         for i in (0, 1):
             half = self.half[i]
@@ -127,16 +116,10 @@ class UprightSolids:
         return result
 
     def distances(self, start: Array, end: Array, reach: float) -> Array:
-        """Return the distances between segments and solids; zero where they meet.
+        """Return the distances (..., M) between segments and solids; zero where they meet [m].
 
-        Args:
-            start: Starts (3, ..., M) of the segments [m], one for each solid; a last axis of
-                length 1 stands for all solids.
-            end: Their ends (3, ..., M) [m].
-            reach: Distance above which a lower bound is enough [m].
-
-        Returns:
-            Distances (..., M) [m]. Those above `reach` may be too small, but are not below it.
+        Starts and ends are (3, ..., M), one for each solid; a last axis of length 1 stands for all
+        solids. Distances above `reach` may be too small, but are not below it.
         """
         first, last = self._local(start), self._local(end)
         lower, upper = (
@@ -152,15 +135,9 @@ class UprightSolids:
         return distances_along(outward, bound, first, last - first, reach)
 
     def box_distances(self, poses: Array, half: Array, heights: tuple[float, float]) -> Array:
-        """Return the distances of an upright box at several poses; zero where they meet.
+        """Return the distances (..., M) of an upright box from solids; zero where they meet [m].
 
-        Args:
-            poses: Poses (..., 3) of the centre of its rectangle [m, m, rad].
-            half: Half length and half width (2,) [m].
-            heights: Heights of its lower and its upper side [m].
-
-        Returns:
-            Distances (..., M) [m].
+        The centre of its rectangle has poses (..., 3); half length and half width are (2,) [m].
         """
         yaw = self.yaw - poses[..., 2, None]
         x, y = (self.centre[i] - poses[..., i, None] for i in (0, 1))
@@ -182,14 +159,9 @@ def corner_distances(
 ) -> tuple[Array, Mask]:
     """Return the least distance of a rectangle's corners from a fixed one, and a separation.
 
-    Args:
-        x, y: Centre of the rectangle in the frame of the fixed one [m].
-        yaw: Its direction there [rad].
-        half: Its half length and half width (2, ...) [m].
-        fixed: Half length and half width (2, ...) of the fixed one [m].
-
-    Returns:
-        Distances [m], and whether a side of the fixed rectangle separates the two.
+    The centre (x, y) of the rectangle and its direction are in the frame of the fixed one; both
+    have half lengths and half widths (2, ...) [m]. The second result is whether a side of the
+    fixed rectangle separates the two.
     """
     c, s = np.cos(yaw), np.sin(yaw)
     least = np.full(np.broadcast(x, yaw).shape, np.inf)

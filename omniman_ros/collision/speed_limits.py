@@ -17,12 +17,7 @@ class SpeedLimits:
     braking: Sequence[float]  #: Largest deceleration (6,) of each joint [rad/s^2]
 
     def share(self, motion: Array) -> float:
-        """Return the largest ratio of a motion to its limits; 1 is full speed.
-
-        Args:
-            motion: Twist of the platform in base_link and rates of the joints (9,)
-                [m/s, m/s, rad/s, rad/s ...].
-        """
+        """Return the largest ratio of a motion (9,), twist and joint rates, to its limits."""
         return _largest_ratio(motion, self.velocity, self.rate)
 
     def stop_time(self, motion: Array) -> float:

@@ -40,13 +40,7 @@ class Surroundings:
         return moving
 
     def within(self, place: Array, distance: float, time: float) -> Mask:
-        """Return which solids (M,) may come near a point within a time.
-
-        Args:
-            place: Point (x, y), or pose, in the frame of the solids [m].
-            distance: Horizontal distance that counts as near [m].
-            time: Time for which the solids move on [s].
-        """
+        """Return which solids (M,) may come within a distance [m] of a place in a time [s]."""
         m = len(self)
         points = np.stack((np.full(m, place[0]), np.full(m, place[1]), self.solids.lower))
         reach = distance + time * np.hypot(*self.velocity)

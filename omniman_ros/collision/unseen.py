@@ -57,10 +57,7 @@ class Arrivals:
     def before(self, time: float, place: Array, distance: float) -> tuple[Array, Array]:
         """Return the middles (M, 2) and times (M,) of cells where somebody could be soon.
 
-        Args:
-            time: Time up to which arrivals count [s].
-            place: Place (x, y), or pose, around which cells count [m].
-            distance: How far from it they count along either axis [m].
+        The cells are within a distance [m] of a place along either axis, and up to a time [s].
         """
         spans = []
         for k, count in ((1, self.times.shape[0]), (0, self.times.shape[1])):
@@ -168,12 +165,8 @@ def _conflicts(
 ) -> Mask:
     """Return whether somebody is in a place before the robot, for each share (L, M).
 
-    Args:
-        taus: (K,) times at full speed of the samples [s].
-        first: (M,) sample at which the robot first comes to each place, above 0.
-        times: (M,) when somebody can be there [s].
-        stop_time: Time of a stop from full speed [s].
-        reaction: Time until it begins [s].
+    At full speed the robot first comes to the places at the samples `first` (M,), above 0, of the
+    times `taus` (K,) [s]; somebody can be there at `times` (M,) [s].
     """
     # The robot may come to a place right after the sample before, and at the latest at this one.
     way = LEVELS * reaction + 0.5 * LEVELS**2 * stop_time
@@ -185,10 +178,7 @@ def _conflicts(
 def _stopping_times(taus: Array, stop_time: float, reaction: float) -> Array:
     """Return when the robot is in places while it stops from shares of full speed (L, M) [s].
 
-    Args:
-        taus: (M,) times to the places at full speed [s]; beyond the way of a stop, its end counts.
-        stop_time: Time of a stop from full speed [s].
-        reaction: Time until it begins [s].
+    At full speed it is there at `taus` (M,) [s]; beyond the way of a stop, its end counts.
     """
     share = LEVELS[:, None]
     rest = np.maximum(taus - share * reaction, 0.0)

@@ -42,11 +42,7 @@ class ArmMass:
         )
 
     def at(self, q: Array) -> Arm:
-        """Return the arm as a body at rest in a posture.
-
-        Args:
-            q: Joint angles (6,) [rad].
-        """
+        """Return the arm as a body at rest in a posture (6,) [rad]."""
         frame = self._base
         frames = [frame]
         for place, angle in zip(self._places, q.tolist(), strict=True):

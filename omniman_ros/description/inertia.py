@@ -53,12 +53,7 @@ def wheel_masses(robot: Robot) -> tuple[float, ...]:
 
 
 def wheel(robot: Robot, i: int, mass: float, width: float) -> Inertia:
-    """Return the inertia of a wheel with its axle along y, including gear and rotor.
-
-    Args:
-        mass: Mass from :func:`wheel_masses` [kg].
-        width: Width of the wheel [m].
-    """
+    """Return the inertia of a wheel of a mass [kg] and width [m], with gear and rotor."""
     axle = robot.wheels.inertia[i]
     transverse = 0.5 * axle + mass * width**2 / 12.0
     return Inertia(mass, (transverse, axle, transverse))
@@ -67,16 +62,13 @@ def wheel(robot: Robot, i: int, mass: float, width: float) -> Inertia:
 def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: float) -> Inertia:
     """Return the inertia of the platform without its wheels, in base_link.
 
-    Together with the wheels as point masses it has the body's mass, centre of mass and inertia
-    about the vertical. In the other directions it is a box, which is always physically possible:
-    half the sum of the moments exceeds each of them.
+    Together with the wheels as point masses [kg] it has the body's mass, centre of mass and
+    inertia about the vertical. In the other directions it is a box between two heights above the
+    floor [m], which is always physically possible: half the sum of the moments exceeds each of
+    them.
 
     The centre of mass is in the middle of the box or, if the robot's file has a height, where body
     and wheels together have it.
-
-    Args:
-        masses: Masses of the wheels [kg].
-        bottom, top: Heights of the box above the floor [m].
     """
     wheels, body = robot.wheels, robot.body
     points = list(zip(masses, wheels.x, wheels.y, strict=True))

@@ -20,17 +20,12 @@ Corners = tuple[tuple[float, float], ...]  #: Corners of a polygon in order [m]
 
 @lru_cache(maxsize=16)
 def outline_cover(corners: Corners, most: int) -> Array:
-    """Return rectangles whose union contains a polygon.
+    """Return rectangles whose union contains a polygon, its corners in order [m].
 
     The polygon is divided into trapezoids at its corners and between them, across and along the
     smallest rectangle around it. Two parts whose common rectangle is little larger than theirs are
-    joined, again and again.
-
-    Args:
-        corners: Corners of the polygon in order [m].
-
-    Returns:
-        Rows (P, 5): centre, direction of the length, half length and half width [m, m, rad, m, m].
+    joined, again and again. The rows (P, 5) are centre, direction of the length, half length and
+    half width [m, m, rad, m, m].
     """
     polygon = np.array(corners)
     sides = np.roll(polygon, -1, axis=0) - polygon
@@ -59,10 +54,7 @@ def _parts(polygon: Array, angle: float) -> list[Array]:
 def _joined(parts: list[Array], directions: Array, most: int, saving: float) -> list[Array]:
     """Return the rectangles (5,) around parts (k, 2), joined to be few.
 
-    Args:
-        parts: Points of the parts [m].
-        directions: Directions of rectangles [rad].
-        saving: Least quarter of an area that a rectangle must save [m^2].
+    Each rectangle saves at least four times the area `saving` [m^2].
     """
     known: dict[tuple[int, ...], Array] = {
         (k,): _bounds(part, directions) for k, part in enumerate(parts)

@@ -9,12 +9,7 @@ from omniman_ros.description.inertia import Vector
 
 
 def transform(position: Vector, rpy: Vector) -> Array:
-    """Return the pose (4, 4) of a frame.
-
-    Args:
-        position: Position of its origin [m].
-        rpy: Rotations about the fixed axes x, then y, then z [rad].
-    """
+    """Return the pose (4, 4) of a frame: origin [m], rotations about fixed x, y, z [rad]."""
     (cr, cp, cy), (sr, sp, sy) = ([f(a) for a in rpy] for f in (math.cos, math.sin))
     result = np.eye(4)
     result[:3, :3] = (
