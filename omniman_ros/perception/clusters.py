@@ -27,13 +27,11 @@ class Clusters:
 
     @staticmethod
     def of(points: Array, gaps: Array, labels: Indices | None = None) -> "Clusters":
-        """Group points in the order of their beams.
+        """Group points (N, 2) in the order of their beams.
 
-        Args:
-            points: (N, 2) points [m].
-            gaps: (N,) distances from which a point does not belong to the one before [m].
-            labels: (N,) numbers of the tracks that they are near, or NONE: points of two tracks
-                do not belong together, however near they are.
+        From its gap (N,) on, a point does not belong to the one before [m]. Points of two tracks,
+        labelled (N,) by those that they are near or NONE, do not belong together, however near
+        they are.
         """
         if not len(points):
             nothing = np.zeros(0, dtype=np.intp)
@@ -73,14 +71,10 @@ class Outlines:
 
     @staticmethod
     def of(clusters: Clusters, points: Array, view: View, partial_radius: float) -> "Outlines":
-        """Judge clusters of points (N, 2).
+        """Judge clusters of points (N, 2) in odom [m].
 
         A disc at the distance d of its centre fills the angle 2 asin(r / d), and its nearest point
-        is at d - r.
-
-        Args:
-            points: Their points in odom [m].
-            partial_radius: Radius of what is hidden in part [m].
+        is at d - r. What is hidden in part has the radius `partial_radius` [m].
         """
         away = points - view.origin
         distances = np.hypot(away[:, 0], away[:, 1])
@@ -108,16 +102,10 @@ class Outlines:
 
 
 def fitted_centers(points: Array, number: Indices, expected: Array, radii: Array) -> Array:
-    """Fit discs of known radii to their points, by Gauss and Newton.
+    """Return the centres (K, 2) of discs of known radii [m], fitted by Gauss and Newton.
 
-    Args:
-        points: (N, 2) points on their outlines [m].
-        number: (N,) number of the disc of each.
-        expected: (K, 2) centres where they are expected [m].
-        radii: (K,) radii [m].
-
-    Returns:
-        Centres (K, 2) [m].
+    The points (N, 2) are on the outlines of the discs with the numbers (N,), whose centres are
+    expected at `expected` (K, 2).
     """
     count = len(expected)
     centers = expected.copy()

@@ -31,9 +31,6 @@ _AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
 class LocalMap:
     """Square grid in odom that follows the robot by whole cells.
 
-    Args:
-        parameters: Size of the map and of its cells.
-
     Attributes:
         resolution: Edge of a cell [m].
         corner: (2,) column and row of the first cell in odom, counted from the origin of odom.
@@ -59,11 +56,7 @@ class LocalMap:
         return origin
 
     def follow(self, center: Array) -> bool:
-        """Move the map if the robot has left its middle; return whether it was moved.
-
-        Args:
-            center: (2,) position of the robot in odom [m].
-        """
+        """Move the map if the robot, (2,) in odom [m], has left its middle; return whether so."""
         count = len(self.log_odds)
         corner = centered_corner(center, self.resolution, count)
         shift = corner - self.corner
@@ -73,12 +66,7 @@ class LocalMap:
         return True
 
     def update(self, view: View, hits: Array, reach: float) -> None:
-        """Enter what was seen.
-
-        Args:
-            hits: (M, 2) points in odom of what stands [m].
-            reach: Distance up to which free space counts [m].
-        """
+        """Enter what was seen: free space up to a reach, and what stands, (M, 2) in odom [m]."""
         rows, columns, passed = view.passed(
             self.origin, self.resolution, len(self.log_odds), reach
         )
@@ -94,11 +82,8 @@ class LocalMap:
     def occupy(self, pose: PlanarPose, parts: Rectangles, around: float) -> None:
         """Enter that the robot stands somewhere: nothing else does, though no beam passes there.
 
-        Args:
-            pose: Pose of the robot in odom [m, m, rad].
-            parts: What it covers in base_link.
-            around: Distance around it within which cells of which nothing is known are free, since
-                what is seen there belongs to the robot [m].
+        It covers parts in base_link. Cells within the distance `around` [m] of it of which nothing
+        is known are free, since what is seen there belongs to the robot.
         """
         reach = float(parts.radius.max()) + around
         center = np.array(pose[:2])
@@ -147,9 +132,7 @@ class LocalMap:
     def occupancy(self, centers: Array, radii: Array) -> NDArray[np.int8]:
         """Return the occupancy (n, n) of the cells [%], -1 where nothing is known.
 
-        Args:
-            centers: (K, 2) discs in odom that move, and do not belong to the map [m].
-            radii: (K,) their radii [m].
+        Discs in odom, (K, 2) and (K,) [m], move and do not belong to the map.
         """
         odds = self.log_odds
         percent = np.rint(100.0 / (1.0 + np.exp(-odds))).astype(np.int8)
@@ -163,9 +146,7 @@ class LocalMap:
     def _cells(self, points: Array, edge: int = 0) -> tuple[NDArray[np.intp], Mask]:
         """Return the flat numbers of the cells of points (M, 2), and whether they are inside.
 
-        Args:
-            points: The points in odom [m].
-            edge: Number of cells at the border that do not count as inside.
+        The outer `edge` cells at the border do not count as inside.
         """
         count = len(self.log_odds)
         index = np.floor(points / self.resolution).astype(np.intp) - self.corner

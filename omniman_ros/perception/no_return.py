@@ -13,14 +13,7 @@ ROUND_OFF = 1e-3
 
 
 def rep117_ranges(ranges: Array, range_min: float, range_max: float, no_return: str) -> Array:
-    """Return ranges (N,) in the terms of `Scan` [m].
-
-    Args:
-        ranges: (N,) distances as they were sent [m].
-        range_min: Shortest range [m].
-        range_max: Longest range [m].
-        no_return: What the scanner sends where a beam meets nothing, one of `NO_RETURN`.
-    """
+    """Return ranges (N,) in the terms of `Scan` [m]; `no_return` is one of `NO_RETURN`."""
     result = ranges.copy()
     if no_return == ZERO:
         result[ranges == 0.0] = math.inf

@@ -62,16 +62,9 @@ class ObstacleTracker:
     are taken out. What is narrow is followed by its disc; the map takes what does not move.
     Nothing here reads a clock: the same odometry and scans give the same tracks.
 
-    Args:
-        parameters: What counts as moving, and as the same thing as before.
-        map_parameters: Extent of the map.
-        motion: Noise and acceleration for the filters of the tracks.
-        unseen: People who are not seen.
-
     Attributes:
         parameters: May be replaced.
-        motion: Tracks keep what they began with.
-        map: Map of what stands.
+        motion: Noise and acceleration for the filters of new tracks.
         unseen: Where somebody may be who is not seen; kept while its speed is above 0.
         time: Time up to which scans were used [s].
         robot: (2,) position of the robot in odom at that time [m].
@@ -141,9 +134,6 @@ class ObstacleTracker:
 
     def add_scan(self, scan: Scan, own: Footprint, scanner: int = 0) -> bool:
         """Use a scan; return whether it was entered in the map.
-
-        Args:
-            own: Footprint of the robot in its present posture.
 
         Raises:
             InputError: The odometry does not cover the time of the scan; nothing is changed then.
@@ -265,10 +255,8 @@ class ObstacleTracker:
     def _assigned(costs: Array, gates: Array, counts: Indices) -> Indices:
         """Return the number of the track of each cluster (C,), or NONE.
 
-        Args:
-            costs: (T, C) mean distances of the points of each cluster from each outline [m].
-            gates: (T,) largest costs [m].
-            counts: (C,) number of points of each cluster.
+        Costs (T, C) are mean distances of a cluster's points from an outline, at most `gates` (T,)
+        [m].
         """
         owner = np.full(costs.shape[1], NONE, dtype=np.intp)
         possible = (costs < gates[:, None]) & (counts > 1)
@@ -382,14 +370,7 @@ def has_left(track: Track, view: View) -> bool:
 
 
 def _distances(places: Array, centers: Array, radii: Array, origin: Array) -> Array:
-    """Return the distances (T, N) of points from the sides of discs that face the scanner [m].
-
-    Args:
-        places: (N, 2) points [m].
-        centers: (T, 2) centres of the discs [m].
-        radii: (T,) their radii [m].
-        origin: (2,) place of the scanner [m].
-    """
+    """Return distances (T, N) of points (N, 2) from the sides of discs that face `origin` [m]."""
     if not len(centers):
         return np.zeros((0, len(places)))
     away = centers - origin

@@ -24,13 +24,7 @@ class PoseHistory:
         self._velocity = np.zeros(3)
 
     def add(self, time: float, pose: Array, velocity: Array) -> None:
-        """Add a pose (3,) at a time, and its rate (3,) in odom; one that is not newer is ignored.
-
-        Args:
-            time: The time [s].
-            pose: x, y, heading [m, m, rad].
-            velocity: Its rate [m/s, m/s, rad/s].
-        """
+        """Add a pose (3,) at a time, and its rate (3,) in odom, if it is newer."""
         x, y, theta = pose.tolist()
         rows = self._rows
         if rows and time <= rows[-1][0]:

@@ -12,24 +12,13 @@ Cell = TypeVar("Cell", bound=np.generic)
 
 
 def centered_corner(center: Array, resolution: float, count: int) -> Indices:
-    """Return column and row (2,) in odom of the first cell of a grid around a place.
-
-    Args:
-        center: (2,) the place in odom [m].
-        resolution: Edge of a cell [m].
-    """
+    """Return column and row (2,) in odom of the first cell of a grid around a place (2,) [m]."""
     corner: Indices = np.floor(center / resolution).astype(np.intp) - count // 2
     return corner
 
 
 def shifted(cells: NDArray[Cell], shift: Indices, fill: float) -> NDArray[Cell]:
-    """Return the cells of a grid that has moved.
-
-    Args:
-        cells: (n, n) cells, rows along y.
-        shift: (2,) columns and rows by which the grid has moved.
-        fill: Value of the cells that were outside of it.
-    """
+    """Return the cells (n, n) of a grid that has moved by columns and rows (2,), others `fill`."""
     count = len(cells)
     moved = np.full_like(cells, fill)
     if np.abs(shift).max() < count:
@@ -48,12 +37,8 @@ def _span(shift: int, count: int) -> slice:
 def grown(cells: Mask, steps: int, first: int = 0) -> Mask:
     """Return cells (n, n) and those that are near them, by steps of one cell.
 
-    The steps go to four neighbours and to eight by turns: an octagon, whose extent along a
-    diagonal is 6 % above that along an axis.
-
-    Args:
-        cells: The cells, rows along y.
-        first: Number of steps that went before.
+    The steps go to four neighbours and to eight by turns, after `first` others: an octagon, whose
+    extent along a diagonal is 6 % above that along an axis.
     """
     result = cells.copy()
     for step in range(first, first + steps):

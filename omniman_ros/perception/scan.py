@@ -98,13 +98,9 @@ class View:
 
     @staticmethod
     def of(scan: Scan, pose: PlanarPose, beams: Indices, points: Array, known: Mask) -> "View":
-        """Return the view from where the scanner was at the end of a scan.
+        """Return the view from where the scanner was at the end of a scan, base_link at `pose`.
 
-        Args:
-            pose: Pose of base_link at its end in odom [m, m, rad].
-            beams: (M,) numbers of the beams that met something.
-            points: (M, 2) what they met, in odom [m].
-            known: (M,) whether it is something else than the robot itself.
+        The M beams met points (M, 2) in odom [m]; those `known` are not the robot itself.
         """
         mount = np.array([scan.mount[:2]])
         origin = placed(mount, np.array([pose]))[0]
@@ -146,18 +142,11 @@ class View:
     def passed(
         self, origin: Array, resolution: float, count: int, reach: float
     ) -> tuple[slice, slice, Mask]:
-        """Return which cells of a square grid are free, for sure.
+        """Return which cells of a square grid are free, for sure: rows, columns, and which.
 
         A cell is looked up in the view, in place of a ray drawn through the cells: no cell is
-        missed where rays are farther apart than cells.
-
-        Args:
-            origin: (2,) corner of the first cell in odom [m].
-            resolution: Edge of a cell [m].
-            reach: Distance up to which free space counts [m].
-
-        Returns:
-            Rows and columns within reach, and which of their cells are free.
+        missed where rays are farther apart than cells. The first cell has its corner at `origin`
+        in odom; cells count up to a reach [m].
         """
         middles = resolution * (np.arange(count, dtype=np.float32) + 0.5)
         x = middles + np.float32(origin[0] - self.origin[0])
@@ -170,12 +159,7 @@ class View:
         return rows, columns, distances < np.minimum(clear, reach)
 
     def sees_through(self, center: Array, radius: float) -> bool | None:
-        """Return whether one looks through a disc; None if it is outside of the view.
-
-        Args:
-            center: (2,) its centre in odom [m].
-            radius: Its radius [m].
-        """
+        """Return whether one looks through a disc in odom; None if it is outside of the view."""
         away = center - self.origin
         distance = float(np.hypot(*away))
         if distance <= radius:

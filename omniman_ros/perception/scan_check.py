@@ -42,12 +42,7 @@ class ScanCheckParameters:
 
 
 def _hint(ranges: Array, excess: float) -> str:
-    """Return the parameter that would help if a value of at least a share of the beams is meant.
-
-    Args:
-        ranges: (N,) ranges of a scan, see `Scan`.
-        excess: Share of blind beams above what is accepted [-].
-    """
+    """Return the parameter that would help if a value of `excess` of the beams is meant."""
     for word, found in ((ZERO, ranges == 0.0), (NAN, np.isnan(ranges))):
         if (share := float(found.mean())) >= excess:
             return (
@@ -65,12 +60,7 @@ class ScanCheck:
         self._pose: Array = np.zeros(3)
 
     def fault(self, scan: Scan, pose: Array, parameters: ScanCheckParameters) -> str:
-        """Return why a scan must not be used, or an empty string.
-
-        Args:
-            pose: (3,) pose of the robot at its end in odom [m, m, rad].
-            parameters: What it must have.
-        """
+        """Return why a scan at a pose (3,) in odom must not be used, or an empty string."""
         ranges = scan.ranges
         with np.errstate(invalid="ignore"):
             is_blind = ~(ranges > 0.0)

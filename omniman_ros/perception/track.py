@@ -44,12 +44,6 @@ class TrackedObstacle:
 class Track:
     """A thing by its disc, from the scan on in which it was first seen.
 
-    Args:
-        time: Time of the first scan [s].
-        center: (2,) centre in odom [m].
-        radius: Radius [m].
-        front: (2,) point of the outline that faces the scanner [m].
-
     Attributes:
         number: Its identity.
         radius: Radius [m].
@@ -136,14 +130,11 @@ class Track:
         return not self.is_moving and self._like_structure >= MOST_LIKE_STRUCTURE
 
     def judge(self, time: float, is_new_place: bool, p: TrackerParameters) -> bool:
-        """Decide whether it moves; return whether it has just begun to.
+        """Decide whether it moves at a time [s]; return whether it has just begun to.
 
         Speed alone is no evidence: the visible part of a wall slides along it behind whatever
-        passes. It must be where nothing was, or have left a place that is free now.
-
-        Args:
-            time: The time [s].
-            is_new_place: Whether it is seen where free space was, or its first place is free now.
+        passes. It must be where nothing was, or have left a place that is free now: in a new
+        place.
         """
         speed = math.hypot(*self._filter.velocity)
         if self.is_moving:

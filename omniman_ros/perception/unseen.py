@@ -28,11 +28,7 @@ class UnseenSpace:
     a person was just seen free, or was met by a beam, so that who stands there would be seen; or
     if something stands there, or the robot does. What lies outside of the grid is not seen.
 
-    Args:
-        size: Edge of the grid [m].
-
     Attributes:
-        parameters: May be replaced.
         corner: (2,) column and row of the first cell in odom, counted from the origin of odom.
         hidden: (n, n) whether somebody may be there, rows along y.
     """
@@ -67,14 +63,10 @@ class UnseenSpace:
         standing: Array,
         own: tuple[PlanarPose, Rectangles],
     ) -> None:
-        """Enter what was seen.
+        """Enter what was seen up to a reach [m] at a time [s].
 
-        Args:
-            time: Time of the view [s].
-            reach: Distance up to which free space counts [m].
-            met: (M, 2) points in odom that beams have met [m].
-            standing: (K, 2) points in odom of what stands, through which nobody goes [m].
-            own: Pose of the robot in odom [m, m, rad], and rectangles that contain it.
+        In odom, beams have met the points `met` (M, 2), nobody goes through those of what stands
+        (K, 2), and the robot has a pose and is within rectangles.
         """
         pose, parts = own
         self._follow(np.array(pose[:2]))
