@@ -27,12 +27,7 @@ BLOCKED_TIME = 2.0
 
 
 class GoalTracker:
-    """Tracks one goal at a time from its acceptance to its end.
-
-    Attributes:
-        state: State of the planner.
-        goal: Goal of the robot, or None.
-    """
+    """Tracks one goal at a time from its acceptance to its end."""
 
     def __init__(self) -> None:
         self.state = PlannerState.IDLE
@@ -96,9 +91,7 @@ class GoalTracker:
     def displace(self, change: PlanarPose) -> None:
         """Move the goal, as its frame has moved against odom.
 
-        Args:
-            change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
-                it moved along.
+        The change is the pose at which the odom frame would be if it moved along [m, m, rad].
         """
         if self.goal is not None:
             self.goal = self.goal.displaced(change)
@@ -125,15 +118,7 @@ class GoalTracker:
         limits: EffectiveLimits,
         work: int,
     ) -> None:
-        """Check the route, and search for another route if it is not clear.
-
-        Args:
-            now: Time [s].
-            pose: (3,) pose of the robot on the motion [m, m, rad].
-            environment: Obstacles, moving ones included, workspace and map.
-            limits: Parameters of the planner and the limits in effect.
-            work: Largest work of a search in this call [expansions].
-        """
+        """Check the route, and search for another up to a work [expansions] if it is not clear."""
         planner = self.route_planner
         if planner is None or self.goal is None:
             return
@@ -196,9 +181,6 @@ def require_reachable(goal: Goal, environment: Environment) -> None:
     """Check that the robot fits at the pose of a goal.
 
     A trajectory is not checked, as the obstacles at its time are not known.
-
-    Args:
-        environment: Outline of the robot, obstacles, moving ones included, workspace and map.
 
     Raises:
         InputError: The robot would not be within the workspace, or touch an obstacle at rest.

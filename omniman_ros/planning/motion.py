@@ -23,13 +23,9 @@ class Motion:
 
     @staticmethod
     def of_states(start: float, step: float, states: Array, currents: Array) -> "Motion":
-        """Return the motion of a plan.
+        """Return the motion of a plan with states (N + 1, 6), one a step [s].
 
-        Args:
-            start: Time of the first state [s].
-            step: Time from a state to the next [s].
-            states: (N + 1, 6) poses in odom and body twists.
-            currents: (N, n) motor currents over each step [A].
+        The states are poses in odom and body twists; currents (N, n) are held over each step [A].
         """
         times: Array = start + step * np.arange(len(states), dtype=np.float64)
         cos, sin = np.cos(states[:, 2]), np.sin(states[:, 2])
@@ -117,13 +113,9 @@ class Motion:
         )
 
     def braked(self, time: float, deceleration: tuple[float, float]) -> "Motion":
-        """Return this motion up to a time [s], then braked to rest.
+        """Return this motion up to a time [s], then braked to rest [m/s^2, rad/s^2].
 
         The directions of travel and of rotation stay; the two come to rest independently.
-
-        Args:
-            time: Time at which the braking begins [s].
-            deceleration: Linear and angular deceleration [m/s^2, rad/s^2].
         """
         pose, velocity = self.sample(time)
         speed, yaw_rate = math.hypot(velocity[0], velocity[1]), abs(float(velocity[2]))
@@ -146,14 +138,9 @@ class Motion:
         return self.between(self.start, time).then(tail)
 
     def fine(self, first: float, last: float, parts: int) -> tuple[Array, Array, Array]:
-        """Sample the motion from a time on, each span between two nodes in equal parts.
+        """Return times (K,), poses (K, 3) and velocities (K, 3), each span in equal parts.
 
-        Args:
-            first: Time of the first sample [s].
-            last: Time up to which samples go on if the motion is at rest before [s].
-
-        Returns:
-            Times (K,), poses (K, 3) and velocities (K, 3).
+        Samples go from `first` up to `last` [s] if the motion is at rest before.
         """
         nodes = np.concatenate([[first], self.times[self.times > first + MIN_SPAN]])
         end = nodes[-1]

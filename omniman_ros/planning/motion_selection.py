@@ -48,14 +48,9 @@ class _Candidate:
 class MotionSelector:
     """Holds the motion that the robot follows, and replaces it by the best one available.
 
-    Args:
-        limits: Parameters of the planner and the limits in effect.
-
     Attributes:
-        model: Model of the robot.
         limits: Limits in effect; may be replaced at any time.
         motion: Motion to follow: it ends at rest and was checked up to its end.
-        report: Result of the last cycle.
     """
 
     def __init__(self, model: PlanningModel, limits: EffectiveLimits) -> None:
@@ -95,26 +90,18 @@ class MotionSelector:
         return np.append(measured.pose[:2], heading + difference)
 
     def deviation(self, measured: MeasuredState, radius: float) -> float:
-        """Return the largest distance of a point of the robot from its planned position [m].
-
-        Args:
-            radius: Distance of its farthest point from base_link [m].
-        """
+        """Return the largest distance of a point within a radius from where it should be [m]."""
         pose, _ = self.motion.sample(measured.time)
         error = measured.pose - pose
         heading_error = abs(se2.wrap(float(error[2])))
         return math.hypot(error[0], error[1]) + heading_error * radius
 
     def state_at(self, due: float, measured: MeasuredState, anchored: bool) -> Array:
-        """Predict the state (6,) at which a plan begins.
+        """Predict the state (6,) at which a plan begins at a time [s].
 
-        Args:
-            due: Time at which it begins [s].
-            anchored: Whether the plan begins on the motion unless the robot is too far from it;
-                otherwise it always begins at the measured pose of the robot.
-
-        Returns:
-            Pose in odom [m, m, rad] and body twist [m/s, m/s, rad/s].
+        An anchored plan begins on the motion unless the robot is too far from it; otherwise it
+        begins at the measured pose of the robot. The state is pose in odom [m, m, rad] and body
+        twist [m/s, m/s, rad/s].
         """
         pose, velocity = self.motion.sample(due)
         planned_pose, planned_velocity = self.motion.sample(measured.time)
@@ -175,13 +162,8 @@ class MotionSelector:
         The order of preference is: the longest part of a plan that is clear together with its
         braking, the last motion, the longest clear part of the last motion. If no motion is clear
         over the whole horizon, the motion that is clear longest is followed: the obstacles may
-        still turn away, and an evasion may still be found.
-
-        Args:
-            proposal: Plans that were made for this cycle.
-            now: Time [s].
-            surroundings: Obstacles and workspace that the motion is checked against.
-            active: Whether there is a goal to drive to; plans are not used otherwise.
+        still turn away, and an evasion may still be found. Plans are only used if there is a goal
+        to drive to: `active`.
 
         Returns:
             Solution to warm-start the next optimisation from; None if the warm start is kept.

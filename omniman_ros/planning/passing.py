@@ -27,12 +27,8 @@ def scheduled(
 ) -> StateGoal:
     """Return the goal with the time at which it is to be passed, once it is within reach.
 
-    Args:
-        goal: Goal; its arrival time, if it has one, is kept until it was missed.
-        start: (6,) state at which the next plan begins: pose in odom, body twist.
-        due: Time at which the plan begins [s].
-        remaining: Duration of the rest of the route to the goal, at the route's speeds [s].
-        limits: Parameters of the planner and the limits in effect.
+    An arrival time that it has is kept until it was missed. The plan begins at `due` [s] in the
+    state `start` (6,); the rest of the route lasts for `remaining` [s] at the route's speeds.
     """
     if goal.arrival is not None and due < goal.arrival + RESCHEDULE_DELAY:
         return goal

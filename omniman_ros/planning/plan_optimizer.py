@@ -1,11 +1,13 @@
 """Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
 
+import math
 from dataclasses import dataclass
+
+import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
-from omniman_ros.planning.evasion import EvasionGuesses
 from omniman_ros.planning.goals import PlanTarget
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
@@ -15,6 +17,7 @@ from omniman_ros.planning.mpc.solver import Solution, Solver
 from omniman_ros.planning.mpc.transcription import Transcription
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
+from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.obstacles.walls import REACH, Walls
 from omniman_ros.planning.parameters import Horizon
 
@@ -24,14 +27,13 @@ COLD_ITERATIONS = 5
 EVASION_ITERATIONS = 4  #: Solver iterations on an evasion
 #: Solver iterations on an evasion near walls, which make each iteration slower
 EVASION_ITERATIONS_AT_WALLS = 2
+RANKED_DIRECTIONS = 16  #: Number of directions that are compared to find the most promising one
+DIRECTION_STEP = 0.625 * math.pi  #: Angle between successive directions [rad]
+NEAREST_OBSTACLES = 24  #: Number of obstacles, the nearest ones, by which directions are compared
 
 
 class SolverPool:
-    """Solvers for different numbers of obstacles, as empty slots cost computing time, too.
-
-    Args:
-        horizon: Steps of the horizon, and slots for obstacles.
-    """
+    """Solvers for different numbers of obstacles, as empty slots cost computing time, too."""
 
     def __init__(self, model: PlanningModel, horizon: Horizon) -> None:
         self._slots = horizon.slots
@@ -59,12 +61,7 @@ class PlanRequest:
 
 
 class PlanOptimizer:
-    """Solves planning problems, each with a warm start from the plan before.
-
-    Args:
-        limits: Parameters of the planner and the limits in effect.
-        solvers: Solvers of this model and horizon; they are built if it is None.
-    """
+    """Solves planning problems, each with a warm start from the plan before."""
 
     def __init__(
         self, model: PlanningModel, limits: EffectiveLimits, solvers: SolverPool | None = None
@@ -102,13 +99,9 @@ class PlanOptimizer:
         self._failed = False
 
     def solve(self, request: PlanRequest, evade: bool) -> tuple[Solution, ...]:
-        """Improve the last plan, and try an evasion as an alternative.
+        """Improve the last plan, and return it and, if asked for and found, an evasion.
 
-        Args:
-            evade: Whether to try an evasion; it is only tried where there are obstacles.
-
-        Returns:
-            The improved plan and, if one was found, an evasion.
+        An evasion is only tried where there are obstacles.
 
         Raises:
             SolverError: The last plan could not be improved.
@@ -159,3 +152,48 @@ class PlanOptimizer:
         p = self._problem.limits.parameters
         reach = p.limits.linear_velocity * p.horizon.duration
         return walls.near(request.start, reach + request.footprint.radius + REACH)
+
+
+class EvasionGuesses:
+    """Proposes currents that drive off in a direction, which differs on every call.
+
+    The most promising direction alternates with one from a fixed sequence.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def next(
+        self, problem: Problem, solver: Solver, start: Array, due: float, pairs: Pairs
+    ) -> Array:
+        """Return the next guess (N, n) of motor currents [A], for one pair or more.
+
+        The plan begins at `due` [s] in the state `start` (6,): pose in odom, body twist.
+        """
+        self._count += 1
+        if self._count % 2:
+            return problem.evasion(start, self._count * DIRECTION_STEP)
+        return _most_promising(problem, solver, start, due, pairs)
+
+
+def _most_promising(
+    problem: Problem, solver: Solver, start: Array, due: float, pairs: Pairs
+) -> Array:
+    """Return the guess (N, n) that touches an obstacle latest or, if equal, has the widest gap."""
+    known = pairs.ellipses
+    distances = np.hypot(*(known.centers - start[:2]).T) - known.semi_axes.max(axis=1)
+    nearest = pairs.select(np.argsort(distances)[:NEAREST_OBSTACLES])
+    near = nearest.ellipses
+    guesses = [problem.evasion(start, k * DIRECTION_STEP) for k in range(RANKED_DIRECTIONS)]
+    paths = [solver.states(start, guess)[1:, :3] for guess in guesses]
+    step = problem.limits.parameters.horizon.step
+    times: Array = due + step * np.arange(1.0, len(paths[0]) + 1.0)
+    centers, axes = (
+        np.tile(values, (RANKED_DIRECTIONS, 1, 1))
+        for values in (near.centers_at(times), near.axes_at(times))
+    )
+    gaps = box_gap(np.concatenate(paths), nearest.boxes, centers, axes, near.angles)
+    gaps = gaps.min(axis=1).reshape(RANKED_DIRECTIONS, -1)
+    touched = gaps <= 0.0
+    free_steps = np.where(touched.any(axis=1), touched.argmax(axis=1), gaps.shape[1])
+    return guesses[int(np.lexsort((gaps.min(axis=1), free_steps))[-1])]

@@ -7,13 +7,15 @@ until the next cycle. Time is always an argument.
 
 from dataclasses import replace
 
+import numpy as np
+
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
-from omniman_ros.planning.electrical import expected_energy, motor_voltages
 from omniman_ros.planning.goal_tracking import GoalTracker, require_reachable
 from omniman_ros.planning.goals import Goal, StateGoal
 from omniman_ros.planning.motion import Motion
@@ -35,21 +37,13 @@ from omniman_ros.planning.safety import Surroundings
 class Planner:
     """Plans the motion of the robot to its goal among obstacles, MPC 2021; brakes without a plan.
 
-    It is the facade of its collaborators: the goal tracker, the optimizer and the selector of the
-    motion to follow.
-
-    Args:
-        parameters: Parameters; robot and horizon are fixed as long as the robot moves.
-        solvers: Solvers of this robot and horizon; they are built if it is None.
+    Robot and horizon are fixed as long as the robot moves.
 
     Attributes:
-        limits: Parameters and the limits in effect.
-        model: Model of the robot.
         anchored: Whether plans begin on the last motion, whose follower corrects deviations;
             otherwise they begin at the measured pose of the robot.
         footprint: Outline of the robot, by default that of its platform at all heights; it may be
             replaced between two cycles.
-        grid: Map, or None.
     """
 
     def __init__(
@@ -171,13 +165,7 @@ class Planner:
         self.update_route(measured.time, obstacles, work=0)
 
     def displace_goal(self, change: PlanarPose, now: float, obstacles: Ellipses) -> None:
-        """Move the goal, as its frame has moved against odom; the motion under way goes on.
-
-        Args:
-            change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
-                it moved along.
-            now: Time [s].
-        """
+        """Move the goal by the displacement of its frame in odom; the motion under way goes on."""
         self._tracker.displace(change)
         self.update_route(now, obstacles, work=0)
 
@@ -282,12 +270,7 @@ class Planner:
         self._selector.report = report
 
     def update_route(self, now: float, obstacles: Ellipses, work: int = SEARCH_WORK) -> None:
-        """Check the route, and do a slice of the search for another one at the end of a cycle.
-
-        Args:
-            now: Time [s].
-            work: Largest work of a search in this call [expansions].
-        """
+        """Check the route, and do a slice of the search for another one at the end of a cycle."""
         if self.route_planner is not None:
             pose, _ = self.motion.sample(now)
             environment = self._environment(obstacles)
@@ -307,3 +290,32 @@ class Planner:
         """Return the obstacles together with workspace and map."""
         bounds = self.parameters.workspace.bounds
         return Environment(self.footprint, obstacles, bounds, self.grid, self._walls)
+
+
+def motor_voltages(model: PlanningModel, motion: Motion, time: float) -> Array | None:
+    """Return the motor voltages (n,) [V] of a motion at a time [s]; None if none are planned."""
+    currents = motion.currents_at(time)
+    if not np.isfinite(currents).all():
+        return None
+    pose, velocity = motion.sample(time)
+    twist = se2.to_robot(float(pose[2]), velocity)
+    volts = model.voltages(currents + model.dry_current(twist), twist)
+    limit = model.max_voltage
+    clipped: Array = np.clip(volts, -limit, limit)
+    return clipped
+
+
+def expected_energy(model: PlanningModel, motion: Motion) -> float:
+    """Return the electric energy that a whole motion is expected to consume [J].
+
+    Spans without planned currents, which are those of a braking, count as zero.
+    """
+    spans = np.diff(motion.times)
+    poses, velocities = motion.at(0.5 * (motion.times[:-1] + motion.times[1:]))
+    twists = velocities.copy()
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    twists[:, 0] = cos * velocities[:, 0] + sin * velocities[:, 1]
+    twists[:, 1] = cos * velocities[:, 1] - sin * velocities[:, 0]
+    currents = np.nan_to_num(motion.currents)
+    power = (model.voltages(currents, twists) * currents).sum(axis=1)
+    return float((power * spans).sum())

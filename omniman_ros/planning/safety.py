@@ -51,17 +51,11 @@ class Surroundings:
         return Pairs.of(self.footprint, self.ellipses)
 
     def outside(self, poses: Array) -> float:
-        """Return the distance by which the robot at poses (K, 3) leaves the workspace [m].
-
-        The margin is included.
-        """
+        """Return how far the robot at poses (K, 3) leaves the workspace, margin included [m]."""
         return float(outside_by(poses, self.footprint.whole, self.workspace).max()) + self.margin
 
     def overlap(self, poses: Array) -> float:
-        """Return the depth by which the robot at poses (K, 3) is too close to an obstacle [m].
-
-        The obstacles are where they are now.
-        """
+        """Return how much the robot at poses (K, 3) is too close to a present obstacle [m]."""
         pairs = self._pairs
         e = pairs.ellipses
         into = self.margin - float(self.walls.gaps(poses, self.footprint.whole).min())
@@ -159,14 +153,8 @@ class Surroundings:
     ) -> Motion | None:
         """Return the longest part of a motion that can be driven and then braked without contact.
 
-        Args:
-            motion: Motion; it need not end at rest.
-            now: Time from which the motion is followed [s].
-            earliest: Earliest time at which the braking begins [s].
-            deceleration: Linear and angular deceleration of the braking [m/s^2, rad/s^2].
-
-        Returns:
-            Motion that ends at rest, or None if there is none.
+        The motion need not end at rest; the braking [m/s^2, rad/s^2] begins at `earliest` [s] or
+        later. None means that there is no such part.
         """
         whole = motion.braked(motion.end, deceleration)
         contact = self.contact(whole, now)

@@ -30,12 +30,7 @@ VOLTAGE_HEADROOM = 0.02  #: Part by which the voltage limit exceeds the back-EMF
 
 
 class Problem:
-    """Builds the parameters of optimal control problems.
-
-    Attributes:
-        model: Model of the robot.
-        limits: Parameters and limits in effect; they may be replaced at any time.
-    """
+    """Builds the parameters of optimal control problems; `limits` may be replaced at any time."""
 
     def __init__(self, model: PlanningModel, limits: EffectiveLimits) -> None:
         self.model = model
@@ -52,12 +47,9 @@ class Problem:
     ) -> Stage:
         """Return the parameters of one problem.
 
-        Args:
-            start: (6,) state at which the plan begins: pose in odom, body twist.
-            guess: Motion of N + 1 nodes around which gaps are linearised; the plan begins at
-                the first.
-            pairs: Parts of the robot, and the obstacles at their heights.
-            clearance: Gap to keep [m]; None means that of the parameters.
+        The plan begins at `start` (6,), pose in odom and body twist, the first node of the guess
+        of N + 1 nodes around which gaps are linearised. The clearance [m] is that of the
+        parameters if None.
         """
         p = self.limits.parameters
         times = guess.times[1:]
@@ -287,13 +279,9 @@ class Problem:
 
 
 def farthest_points(headings: Array, outline: Rectangles) -> Array:
-    """Return the two points that are the farthest towards each side of the workspace.
+    """Return points (N, 8, 2) in base_link, the farthest towards the workspace's sides [m].
 
-    Args:
-        headings: (N,) headings of the robot in odom [rad].
-
-    Returns:
-        (N, 8, 2) points in base_link [m]: two for each of x_min, x_max, y_min and y_max.
+    There are two for each of x_min, x_max, y_min and y_max at headings (N,) in odom.
     """
     corners = outline.corners.reshape(-1, 2)
     c, s = np.cos(headings)[:, None], np.sin(headings)[:, None]

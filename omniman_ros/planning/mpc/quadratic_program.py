@@ -72,11 +72,7 @@ class QuadraticProgram:
     ) -> Array:
         """Return the solution (n,) for the entries of H and A, column by column.
 
-        Args:
-            h: Entries of H.
-            g: Gradient (n,).
-            a: Entries of A.
-            bounds: low, high (m,), lower and upper (n,).
+        The gradient is (n,); the bounds are low, high (m,), lower and upper (n,).
 
         Raises:
             SolverError: The program was refused, see :meth:`solve`, or not solved.
@@ -115,9 +111,7 @@ class QuadraticProgram:
 class _Memory:
     """Arguments and results of a solver in arrays that it reads and writes in place.
 
-    Args:
-        solver: Solver of quadratic programs; all its arguments and results are given, as some
-            solvers crash without.
+    All arguments and results are given, as some solvers crash without.
     """
 
     def __init__(self, solver: ca.Function) -> None:
@@ -141,11 +135,7 @@ class _Memory:
 
 
 def _first_solved(attempts: Iterable[tuple[Array, dict[str, Any]]]) -> Array:
-    """Return the first solution (n,) of attempts, each with its statistics, that succeeded.
-
-    Raises:
-        SolverError: None did.
-    """
+    """Return the first solution (n,) of attempts that succeeded; raise SolverError if none did."""
     status = ""
     for solution, stats in attempts:
         if stats["success"] and np.isfinite(solution).all():
@@ -155,11 +145,7 @@ def _first_solved(attempts: Iterable[tuple[Array, dict[str, Any]]]) -> Array:
 
 
 def _require_consistent(name: str, least: Array, largest: Array) -> None:
-    """Raise unless some value lies between the bounds (n,) of each row or unknown.
-
-    Raises:
-        SolverError: A bound is NaN, infinite on the wrong side, or beyond the other one.
-    """
+    """Raise SolverError unless some finite value lies between the bounds (n,) in each place."""
     is_possible = (least < np.inf) & (largest > -np.inf) & (least <= largest)
     if not is_possible.all():
         k = int(np.flatnonzero(~is_possible)[0])

@@ -58,12 +58,9 @@ class Solver:
         return np.vstack([start, np.asarray(self.transcription.rollout(start, currents.T)).T])
 
     def solve(self, start: Array, guess: Array, stage: Stage, iterations: int = 1) -> Solution:
-        """Improve a guess.
+        """Improve a guess (N, n) of currents [A]; iterations end early if they change little.
 
-        Args:
-            start: (6,) state: pose in odom [m, m, rad], body twist [m/s, m/s, rad/s].
-            guess: (N, n) currents [A].
-            iterations: Largest number of iterations; they end early if they change little.
+        The state `start` (6,) is pose in odom [m, m, rad] and body twist [m/s, m/s, rad/s].
 
         Raises:
             SolverError: The solution is not finite, or no program was solved.

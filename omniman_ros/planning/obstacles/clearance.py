@@ -25,12 +25,8 @@ WIDE_TILE = 4.0  #: Edge of the tiles from which those are made [m]
 class Clearance:
     """Gaps between the robot and static obstacles, fast for many poses among many obstacles.
 
-    Obstacles are looked up by tiles of the ground, each created for the first pose on it.
-
-    Args:
-        around: M obstacles, which count as being at rest at their centres.
-        workspace: (x_min, y_min, x_max, y_max) in odom [m].
-        reach: Distance above which obstacles may be ignored [m].
+    Obstacles are looked up by tiles of the ground, each created for the first pose on it. They
+    count as being at rest at their centres, and may be ignored beyond `reach` [m].
     """
 
     def __init__(
@@ -50,14 +46,10 @@ class Clearance:
         self._tiles: dict[tuple[float, int, int], Index] = {}
 
     def gaps(self, poses: Array) -> Array:
-        """Return the smallest gap at each pose.
+        """Return the smallest gaps (K,) at poses (K, 3) in odom [m], also to the workspace's edge.
 
-        Args:
-            poses: (K, 3) poses in odom [m, m, rad].
-
-        Returns:
-            (K,) smallest of `box_gap` and of the distance to the workspace's edge [m]; not above
-            zero where the robot touches an obstacle or the edge.
+        They are those of `box_gap`, not above zero where the robot touches an obstacle or the
+        edge.
         """
         result: Array = -outside_by(poses, self._whole, self._workspace)
         if not len(self._around):

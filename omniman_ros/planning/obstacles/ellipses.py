@@ -80,18 +80,12 @@ class Ellipses:
 
 
 def inflated(semi_axes: Array, margin: Array | float) -> Array:
-    """Return the semi-axes of a tight ellipse that contains an ellipse and a margin around it.
+    """Return the semi-axes (..., 2) of a tight ellipse that contains one and a margin [m].
 
     The ellipse with the semi-axes a + m and b + m does not. An ellipse of the matrix P, widened by
     a disc of radius m, lies in (1 + 1/s) P + (1 + s) m^2 I for every s > 0; the trace is smallest
-    for s = sqrt(tr P / (2 m^2)).
-
-    Args:
-        semi_axes: (..., 2) semi-axes [m].
-        margin: (...) margins [m], not negative.
-
-    Returns:
-        (..., 2) semi-axes [m]; a circle of radius a becomes one of radius a + m.
+    for s = sqrt(tr P / (2 m^2)). A circle of radius a becomes one of radius a + m. The margins
+    (...) are not negative.
     """
     squares = semi_axes * semi_axes
     size = np.sqrt(0.5 * squares.sum(axis=-1))[..., None]

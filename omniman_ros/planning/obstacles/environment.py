@@ -25,14 +25,9 @@ class Environment:
     walls: Walls  #: Discs that cover the occupied cells of the map
 
     def gaps(self, poses: Array, reach: float) -> Array:
-        """Return the distance of the robot to obstacles, workspace and map at each pose.
+        """Return the gaps (K,) to obstacles, workspace and map at poses (K, 3) in odom [m].
 
-        Args:
-            poses: (K, 3) poses of base_link in odom [m, m, rad].
-            reach: Distance above which gaps need not be distinguished [m].
-
-        Returns:
-            (K,) gaps [m].
+        Those above `reach` [m] need not be distinguished.
         """
         clearance = Clearance(self.footprint, self.ellipses, self.workspace, reach)
         result: Array = np.minimum(
@@ -54,12 +49,7 @@ class Environment:
         return bool(self.gaps(poses, REACH)[0] <= 0.0 or self.is_inside(poses)[0])
 
     def touched(self, poses: Array) -> Mask:
-        """Return what the robot touches at any of some poses (K, 3).
-
-        Returns:
-            (M + N + 1,) flags of discs of the map, of pairs of obstacle and part, and of the
-            workspace's edge.
-        """
+        """Return (M + N + 1,) flags of what is touched at poses (K, 3): discs, pairs and edge."""
         walls, pairs, outside = self._each(poses)
         result: Mask = np.concatenate([walls, pairs, outside]) <= 0.0
         return result

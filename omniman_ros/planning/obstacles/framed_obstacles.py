@@ -61,11 +61,7 @@ class FramedObstacles:
             obstacles.delete_all(namespace)
 
     def ellipses(self, now: float, anchor: Callable[[str], PlanarPose]) -> Ellipses:
-        """Return the obstacles at a time [s] in odom, in the order of `keys`.
-
-        Args:
-            anchor: Returns the pose of a frame in odom [m, m, rad].
-        """
+        """Return the obstacles at a time [s] in odom, in the order of `keys`."""
         result = self._sets[ODOM].ellipses(now)
         for frame, obstacles in self._sets.items():
             if frame != ODOM and len(obstacles):

@@ -63,11 +63,7 @@ class GridMap:
     def of_occupancy(
         occupancy: OccupancyMap, threshold: int = 50, unknown_is_free: bool = True
     ) -> "GridMap":
-        """Create a map from one of occupancies, in the frame of the latter.
-
-        Args:
-            occupancy: The map; -1 is unknown, 0 to 100 is the occupancy [%].
-            threshold: Occupancy from which a cell counts as occupied, 1 to 100 [%].
+        """Create a map from occupancies, occupied from a threshold of 1 to 100 % on.
 
         Raises:
             InputError: A value or the threshold is out of range; see also the class.
@@ -96,13 +92,11 @@ class GridMap:
         return self.resolution / math.sqrt(2.0)
 
     def obstacles(self) -> tuple[Array, float]:
-        """Return discs that cover the occupied cells at the boundary of occupied areas.
+        """Return centres (M, 2) in odom, row by row, and radius [m] of discs on the boundary.
 
-        A cell at the boundary has a free one among its eight neighbours; the area outside of the
-        map is free. The robot cannot reach the cells behind the boundary without touching it.
-
-        Returns:
-            Centres (M, 2) in odom [m], row by row, and the radius of all of them [m].
+        An occupied cell at the boundary has a free one among its eight neighbours; the area
+        outside of the map is free. The robot cannot reach the cells behind the boundary without
+        touching it.
         """
         return self._discs, self.radius
 

@@ -188,18 +188,11 @@ def first_contact(
 
 
 def outside_by(poses: Array, boxes: Rectangles, workspace: Workspace) -> Array:
-    """Return the distance by which the boxes leave the workspace.
+    """Return the distance (K,) by which the boxes leave the workspace at poses (K, 3) [m].
 
-    MPC 2021 (29) and (30), the latter corrected.
-
-    Args:
-        poses: (K, 3) poses of base_link in odom [m, m, rad].
-        boxes: One box, or boxes (P,).
-        workspace: x_min, y_min, x_max, y_max in odom [m].
-
-    Returns:
-        (K,) [m]: distance of the farthest corner beyond a side or, negative, distance of all
-        corners from the nearest side inside; inf for a pose that is not finite.
+    MPC 2021 (29) and (30), the latter corrected: distance of the farthest corner beyond a side or,
+    negative, distance of all corners from the nearest side inside; inf for a pose that is not
+    finite.
     """
     with np.errstate(invalid="ignore"):
         low, high = np.array(workspace[:2]), np.array(workspace[2:])

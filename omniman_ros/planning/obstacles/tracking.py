@@ -190,10 +190,6 @@ class ObstacleTrack:
     def observe(self, time: float, x: float, y: float) -> bool:
         """Use an observation; return False if it is ignored, as it is not newer than the last one.
 
-        Args:
-            time: Time of the observation [s].
-            x, y: Observed position [m].
-
         Raises:
             InputError: A value is not finite.
         """
@@ -229,15 +225,10 @@ class ObstacleTrack:
         self._last = [self._last[-1], (time, x, y)]
 
     def _use(self, time: float, x: float, y: float, sure: bool) -> bool:
-        """Correct both filters by an observation, unless its misfit is too large.
+        """Correct both filters by an observation; return False and change nothing on a misfit.
 
-        Args:
-            time, x, y: Observation [s, m, m].
-            sure: Whether it is confirmed: then its misfit is too large only if it does not fit
-                agile motion either.
-
-        Returns:
-            Whether the observation was used; if not, nothing is changed.
+        A `sure` observation is confirmed: then its misfit is too large only if it does not fit
+        agile motion either.
         """
         dt = time - self.time
         # A Markov chain in continuous time: over a gap the odds decay towards their mean.

@@ -45,15 +45,10 @@ class Walls:
         return Ellipses(time, self.centers, np.zeros((count, 2)), axes, none, none)
 
     def gaps(self, poses: Array, boxes: Rectangles) -> Array:
-        """Return the distance from boxes to the nearest disc, pose by pose.
+        """Return the distances (K,) from boxes to the nearest disc, at most REACH [m].
 
-        Args:
-            poses: (K, 3) poses of base_link in odom [m, m, rad].
-            boxes: One box, or boxes (P,).
-
-        Returns:
-            (K,) distances [m], at most REACH; negative by the depth to which a disc enters a
-            box; -inf where a pose is not finite.
+        They are negative by the depth to which a disc enters a box, and -inf where one of the
+        poses (K, 3) in odom is not finite.
         """
         finite = np.isfinite(poses).all(axis=1)
         result = np.where(finite, REACH, -math.inf)
@@ -116,20 +111,11 @@ class Walls:
     def swept(
         self, times: Array, poses: Array, velocities: Array, boxes: Rectangles
     ) -> tuple[Array, Array]:
-        """Return gaps at samples of a motion, and lower bounds over the intervals between them.
+        """Return gaps (K,) at samples of a motion, and lower bounds (K - 1,) between them [m].
 
         The distance changes by no more than L, the largest travel of any point of a box: between
-        two samples it is (g0 + g1 - L) / 2 or more.
-
-        Args:
-            times: (K,) increasing times [s].
-            poses: (K, 3) poses of base_link in odom [m, m, rad].
-            velocities: (K, 3) velocities in odom [m/s, m/s, rad/s]; between two samples no speed
-                is above those at both of them.
-            boxes: One box, or boxes (P,).
-
-        Returns:
-            Gaps (K,) at the samples, and lower bounds (K - 1,) between them [m].
+        two samples it is (g0 + g1 - L) / 2 or more. Times increase; between two samples no speed
+        is above those at both of them.
         """
         gaps = self.gaps(poses, boxes)
         speed = np.hypot(velocities[:, 0], velocities[:, 1])

@@ -97,9 +97,7 @@ class WayOut:
     def left_at(self, times: Array, poses: Array) -> float:
         """Return the time from which on a motion is not on this way; infinity if it stays on it.
 
-        Args:
-            times: (K,) times [s].
-            poses: (K, 3) poses in odom, the first of which is allowed [m, m, rad].
+        The first of the poses (K, 3) is allowed.
         """
         direction = (self.end[:2] - self.start[:2]) / max(self._length, STEP)
         x, y = (poses[:, :2] - self.start[:2]).T
@@ -113,11 +111,7 @@ class WayOut:
 
 
 def _points(footprint: Footprint, spacing: float) -> Array:
-    """Return points (N, 3) of the robot in base_link, of heading zero.
-
-    Args:
-        spacing: Largest distance between neighbours [m].
-    """
+    """Return points (N, 3) of the robot, of heading zero, at most a spacing apart [m]."""
     spacing = min(spacing, SPACING)
     points = []
     for part in footprint.whole.each():

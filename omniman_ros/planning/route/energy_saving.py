@@ -41,9 +41,7 @@ def straight(
 ) -> Array:
     """Return poses (K, 3) along a straight line, in the heading that requires the least energy.
 
-    Args:
-        start, goal: Poses (3,) [m, m, rad]; the goal's heading is on the branch of arrival.
-        speeds: Linear [m/s] and angular [rad/s] speed along the line.
+    The goal's heading is on the branch of arrival; speeds are in m/s and rad/s.
     """
     heading = _cruise(model, start, goal, speeds)
     if heading is None:

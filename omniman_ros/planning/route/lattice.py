@@ -93,11 +93,7 @@ class Region:
     def around(ends: Array, pad: float, everything: tuple[Array, Array], edge: float) -> "Region":
         """Return the region around both ends, but not beyond the area that paths may need.
 
-        Args:
-            ends: (2, 2) or (2, 3) start and goal on the lattice [m].
-            pad: Distance around the ends [m].
-            everything: Corners from `Frame.extent` [m].
-            edge: Edge of the lattice [m].
+        It extends `pad` [m] around the ends (2, 2) or (2, 3) on the lattice.
         """
         low = np.maximum(ends[:, :2].min(axis=0) - pad, everything[0])
         high = np.minimum(ends[:, :2].max(axis=0) + pad, everything[1])

@@ -135,16 +135,11 @@ class HeadingOccupancy:
     def _marks(
         self, box: Rectangles, center: Array, axes: Array, angle: float, nodes: Index
     ) -> tuple[Words, int]:
-        """Return the words of an ellipse for some nodes.
+        """Return the words of an ellipse for some nodes, and the work that was done [expansions].
 
-        Args:
-            center: (2,) centre in the lattice's frame [m].
-            axes: (2,) semi-axes [m].
-            angle: Angle of its x axis in the lattice's frame [rad].
-            nodes: (2, 2) column and row of the first node, and those after the last one.
-
-        Returns:
-            Words (levels, rows, columns), and the work that was done [expansions].
+        Centre (2,) [m] and angle of the x axis are in the lattice's frame; `nodes` (2, 2) are
+        column and row of the first node, and those after the last one. The words are (levels,
+        rows, columns).
         """
         lattice, (low, high) = self._lattice, nodes
         edge, first = lattice.frame.edge, lattice.region.first
@@ -182,12 +177,9 @@ class HeadingOccupancy:
     def _kinds(self, reach: int) -> Generator[int, None, tuple[Index, Index, Array]]:
         """Group the occupied cells near the region by their offsets from the nodes.
 
-        Args:
-            reach: Number of columns or rows within which a cell marks nodes.
-
-        Returns:
-            First column and row (N, 2) of the nodes that a cell marks, the number (N,) of its
-            kind, and the offset of each kind (K, 2) from a node [edges].
+        A cell marks nodes up to a reach of columns or rows. First column and row (N, 2) of these
+        nodes and the number (N,) of its kind are returned, and the offsets (K, 2) of all kinds
+        from a node [edges].
         """
         region, cells = self._lattice.region, self._problem.cells
         place = self._lattice.frame.own(cells) / self._lattice.frame.edge - region.first
@@ -267,14 +259,7 @@ def _packed(bits: Mask) -> Words:
 
 
 def _gaps(u: Array, v: Array, headings: Array, box: Rectangles, axes: Array) -> Array:
-    """Return gaps (N, n) [m] from a box to an ellipse.
-
-    Args:
-        u: (N,) positions of base_link along the ellipse's x axis [m].
-        v: (N,) positions along its y axis [m].
-        headings: (n,) headings of base_link relative to these axes [rad].
-        axes: (2,) semi-axes [m].
-    """
+    """Return gaps (N, n) [m] from a box at u, v (N,) in headings (n,) to an ellipse at zero."""
     if axes[0] == axes[1]:
         cos, sin = np.cos(headings + box.yaw), np.sin(headings + box.yaw)
         ahead, beside = box.own_centre

@@ -78,18 +78,12 @@ class Route:
         near: float | None = None,
         window: tuple[float, float] = (WINDOW_BACK, WINDOW_AHEAD),
     ) -> float:
-        """Return the position along the route that is nearest to a pose.
+        """Return the position along the route that is nearest to a pose on any branch [s].
 
-        The measure combines the distance and LEVER times the heading error.
-
-        Args:
-            pose: (3,) pose in odom [m, m, rad]; its heading may be on any branch.
-            near: Last position [s]; only a window around it is searched, so that the result does
-                not jump if the route passes again, or behind a wall. None means the whole route.
-            window: Extent of the window before and after it [s].
-
-        Returns:
-            Position [s], the first of equally near ones.
+        The measure combines the distance and LEVER times the heading error; the first of equally
+        near positions counts. Only a window before and after the last position `near` is searched,
+        so that the result does not jump if the route passes again, or behind a wall. None means
+        the whole route.
         """
         first, last = 0.0, self.duration
         if near is not None:
@@ -130,14 +124,9 @@ class Route:
         first: float = 0.0,
         last: float = math.inf,
     ) -> bool:
-        """Return whether the robot keeps a gap on a part of the route.
+        """Return whether the robot keeps a gap of more than a margin [m] on a part of the route.
 
-        Args:
-            around: Obstacles, which count as being at rest at their centres.
-            workspace: (x_min, y_min, x_max, y_max) in odom [m].
-            margin: Gap that both must exceed on all of the part [m].
-            first: Position at which the part begins [s].
-            last: Position at which it ends [s].
+        Obstacles count as being at rest at their centres; the part is between two positions [s].
         """
         _, poses = self.samples(footprint.radius, first, last)
         clearance = Clearance(footprint, around, workspace, margin + REACH_RESERVE)
@@ -152,11 +141,7 @@ class Route:
 
 
 def straight(start: Array, goal: Array, speeds: tuple[float, float]) -> Route:
-    """Return the straight line from pose to pose (3,), with the shorter rotation.
-
-    Raises:
-        InputError: See `Route`.
-    """
+    """Return the straight line from pose to pose (3,), with the shorter rotation."""
     rotation = se2.wrap(float(goal[2] - start[2]))
     end = np.array([goal[0], goal[1], start[2] + rotation])
     return Route(np.stack([start, end]), speeds)

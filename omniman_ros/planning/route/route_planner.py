@@ -73,12 +73,8 @@ class RoutePlanner:
     otherwise it is the result of a search. A robot that touches something first leaves it, by the
     way out. Where there is no route, the robot comes to rest and stays, until there is one.
 
-    Args:
-        goal: (3,) pose in odom [m, m, rad].
-
     Attributes:
-        goal: Pose that the route leads to.
-        route: The route, or None before the first update.
+        goal: Pose (3,) in odom that the route leads to [m, m, rad].
         failure: What is in the way and why the last search found no route, or an empty string.
         way_out: Way on which the robot leaves what it touches, or None.
         is_trapped: Whether the robot touches something, and no way leads out.
@@ -231,12 +227,7 @@ class RoutePlanner:
     ) -> None:
         """Check the rest of the route periodically, and search for another if it is not clear.
 
-        Args:
-            now: Time [s].
-            pose: (3,) pose of the robot, its heading on the branch of the motion [m, m, rad].
-            environment: Static obstacles, workspace and map.
-            limits: Parameters of the planner and the limits in effect.
-            work: Largest work of a search in this call [expansions].
+        The heading of the pose is on the branch of the motion; the work is limited [expansions].
         """
         progresses = self._position > self._progress[1] + STUCK_PROGRESS
         if progresses or now > self._updated + CHECK_PERIOD:

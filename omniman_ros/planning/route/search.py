@@ -2,7 +2,7 @@
 
 The search is on a lattice of nodes and headings (`lattice`). First the occupied states are marked
 (`occupancy`). Then the 2-D cost to the goal is computed over the nodes at which any heading
-is free (`flood`); it guides the search over (x, y, heading) (`find`, `tree`), whose result does
+is free; it guides the search over (x, y, heading) (`find`, `tree`), whose result does
 not depend on the slices. The path is checked and straightened with exact gaps (`straighten`).
 """
 
@@ -40,16 +40,12 @@ class RouteSearch:
     workspace widens it accordingly.
 
     Args:
-        problem: Start, goal, obstacles and the gaps to keep.
         resolution: Edge of the lattice [m], or less, to fit the map's cells.
         headings: Number of headings per revolution, even, up to FINEST; there are at most
             FINEST_WHOLE where half a revolution changes the outline of the robot. If no route is
             found, both are refined by a factor of two once, as far as possible.
 
     Attributes:
-        problem: Problem to solve.
-        route: Route that was found, or None.
-        finished: Whether the search has ended.
         reason: Reason why no route was found, or an empty string.
         worked: Work that was done [expansions].
 

@@ -45,11 +45,7 @@ class Priced:
 
 
 class Straightener:
-    """Checks and straightens paths.
-
-    Args:
-        marks: Occupancy of the lattice, filled.
-    """
+    """Checks and straightens paths."""
 
     def __init__(self, problem: RouteProblem, lattice: Lattice, marks: HeadingOccupancy) -> None:
         self._problem, self._lattice, self._marks = problem, lattice, marks

@@ -61,11 +61,7 @@ class Tree:
         return lowest
 
     def back(self, state: int, offsets: Index) -> tuple[Index, Index]:
-        """Return nodes and headings (N,) of the path to a state, from its beginning on.
-
-        Args:
-            offsets: Changes of the node's number in each step.
-        """
+        """Return nodes and headings (N,) on the path to a state, by the offsets of the steps."""
         nodes, headings = [], []
         row, heading = divmod(state, self._headings)
         node = int(self._node[row])
@@ -110,28 +106,17 @@ class Queue:
         return BAND * self._heap[0]
 
     def push(self, order: Single, guess: Single, ids: Index, cost: Single) -> None:
-        """Add states.
-
-        Args:
-            order: (N,) order in the queue, least first [s].
-            guess: (N,) estimated cost to go [s].
-            ids: (N,) numbers of the states.
-            cost: (N,) cost so far [s].
-        """
+        """Add N states by order in the queue and guess of the cost to go, least first [s]."""
         band = (order / BAND).astype(np.intp)
         for k in _distinct(band):
             here = band == k
             self._add(k, (guess[here], ids[here], cost[here]))
 
     def pop(self, size: int, least: Single) -> Index:
-        """Remove states from the first band, each once, those nearest to the goal if too many.
+        """Remove (N,) states from the first band, each once; if too many, the nearest to the goal.
 
-        Args:
-            least: Lowest costs by the number of the state [s]; a state with another cost was
-                reached on a better path since, and is dropped.
-
-        Returns:
-            (N,) numbers of the states; empty if all were dropped.
+        A state with another cost than its least was reached on a better path since, and is
+        dropped.
         """
         band = heapq.heappop(self._heap)
         parts = self._bands.pop(band)

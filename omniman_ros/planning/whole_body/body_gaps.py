@@ -61,17 +61,11 @@ class GapRows:
 class BodyGaps:
     """Gaps of platform, arm, tool and load.
 
-    The platform is one rectangle or several from the floor to the deck's top, the rest are
-    spheres, all of which contain the parts: no gap is overestimated.
-
-    Args:
-        description: Shapes of platform and arm, and where the arm is mounted.
-        load: Shape of the load, if any.
-        spacing: Largest spacing of the spheres [m].
+    The platform is one rectangle or several from the floor to the deck's top, the rest are spheres
+    with a largest spacing, all of which contain the parts: no gap is overestimated.
 
     Attributes:
         names: Names of the parts, the platform first.
-        spheres: Spheres of arm, tool and load.
         radius: Distance of the platform's farthest point from the z axis of base_link [m].
     """
 
@@ -128,11 +122,7 @@ class BodyGaps:
         return PLATFORM if index == 0 else self.spheres.names[self.spheres.part[index - 1]]
 
     def nearest_own(self, placed: PlacedSpheres, k: int) -> tuple[str, str]:
-        """Return the names of the two parts of the robot that are nearest to each other.
-
-        Args:
-            placed: Spheres (K, S).
-        """
+        """Return the names of the two parts of the robot that are nearest to each other."""
         to_deck, between = (gaps[k] for gaps in self._own_gaps(placed))
         if to_deck.min() <= between.min():
             return self.part_name(1 + int(self._above[to_deck.argmin()])), PLATFORM
@@ -169,12 +159,7 @@ class BodyGaps:
     def spheres_least(
         self, centre: Array, solids: UprightSolids
     ) -> tuple[Array, Indices, Indices]:
-        """Return the least gaps (k,) of spheres to solids, with the numbers of both [m].
-
-        Args:
-            centre: Centres (3, k, S) of the spheres in the frame of the solids [m].
-            solids: Solids, at least one.
-        """
+        """Return the least gaps (k,) of spheres to some solids [m], with the numbers of both."""
         gaps = point_gap_values(solids, centre) - self.spheres.radius[:, None]
         flat = gaps.reshape(len(gaps), -1)
         least = flat.argmin(axis=1)
@@ -182,12 +167,9 @@ class BodyGaps:
         return flat[np.arange(len(flat)), least], sphere, solid
 
     def to_solids(self, poses: Array, placed: PlacedSpheres, solids: UprightSolids) -> Array:
-        """Return the gaps (k, 1 + S, M) of platform and spheres to solids [m].
+        """Return the gaps (k, 1 + S, M) of platform and spheres in base_link to solids [m].
 
-        Args:
-            poses: Poses (k, 3) of the platform.
-            placed: Spheres (k, S) in base_link.
-            solids: M solids, with centres (2, k, M) that may differ from pose to pose.
+        The centres (2, k, M) of the solids may differ from pose to pose (k, 3).
         """
         platform = self.platform(poses, solids)
         points = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
@@ -201,9 +183,7 @@ class BodyGaps:
     ) -> GapRows:
         """Return the n = `count` nearest gaps at configurations (k,), with derivatives.
 
-        Args:
-            ages: Times (k,) after that of the solids [s].
-            reach: Gap beyond which a solid is left out of account [m].
+        Solids are left out beyond a reach [m]; they are placed at ages (k,) [s].
         """
         placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)

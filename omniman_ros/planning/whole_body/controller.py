@@ -59,9 +59,6 @@ class WholeBodyController:
     Each cycle improves the last plan by one Gauss-Newton step. A plan ends at rest, and is
     followed only if it is clear to its end, or if nothing else is safer.
 
-    Args:
-        limits: Limits of the nine axes and of the wheels.
-
     Attributes:
         motion: Motion of the redundancy coordinates that is followed; it ends at rest.
     """
@@ -96,12 +93,7 @@ class WholeBodyController:
         return bool(is_there and np.abs(rates).max() <= AT_REST)
 
     def cycle(self, now: float, way: Way, around: Hindrances) -> CycleOutcome:
-        """Choose the motion from a time [s] on.
-
-        Args:
-            now: Time [s].
-            way: Way of the platform that leads the plans.
-        """
+        """Choose the motion from a time [s] on; the way of the platform leads the plans."""
         around = self._near(now, around)
         due = now + PERIOD
         until = due + self._options.steps * self._options.step

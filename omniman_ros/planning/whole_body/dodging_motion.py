@@ -28,16 +28,7 @@ SLOWEST_PACE = 0.1
 
 
 class DodgingMotion:
-    """Follows a task of the whole body at most at a time.
-
-    Args:
-        limits: Limits of the nine axes and of the wheels.
-
-    Attributes:
-        limits: Others count from the next task on.
-        state: Present state.
-        branch: Branch of the arm's inverse kinematics, `ArmModel.inverse`.
-    """
+    """Follows a task of the whole body at most at a time; other limits count from the next on."""
 
     def __init__(self, limits: WholeBodyLimits) -> None:
         self.limits = limits
@@ -58,15 +49,9 @@ class DodgingMotion:
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
 
     def cycle(self, now: float, pace: float, around: Hindrances) -> CycleOutcome | None:
-        """Choose the motion from a motion time on.
+        """Choose the motion from a motion time on, which passes at a pace.
 
-        Args:
-            now: Motion time [s].
-            pace: Motion time that passes in a second.
-            around: What is around the robot now, its rates by the second.
-
-        Returns:
-            The outcome; None while the robot does not follow its task, or has arrived.
+        The outcome is None while the robot does not follow its task, or has arrived.
         """
         if self.state is not PathState.FOLLOWING or self._has_arrived:
             return None
@@ -183,15 +168,7 @@ class DodgingMotion:
         return Demand.of(self.limits.groups(1.0, 0.0), v, a)
 
     def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
-        """Return the last stretch of a stream that runs at a pace: down to rest on the path.
-
-        Args:
-            now: Time [s].
-            pace: Pace at which the motion runs.
-
-        Returns:
-            The stretch, or None if there is no motion or it stands still.
-        """
+        """Return the last stretch of a stream at a pace, down to rest; None if it is at rest."""
         rate = pace.rate(now)
         if self._task is None or rate <= 0.0:
             return None

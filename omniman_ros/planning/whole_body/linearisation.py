@@ -99,12 +99,8 @@ class Linearisation:
     ) -> tuple[Array, Array]:
         """Return a better plan: coordinates and rates (N + 1, 4), at rest at the end.
 
-        Args:
-            z: Coordinates (N + 1, 4) of the guess.
-            rates: Their rates (N + 1, 4).
-            controls: Their accelerations (N, 4) over the steps.
-            times: Times (N + 1,) of the nodes [s].
-            way: Way of the platform that leads the plans.
+        The guess has coordinates and rates (N + 1, 4) at times (N + 1,), and accelerations (N, 4)
+        over the steps.
 
         Raises:
             SolverError: There is none: the guess is out of reach, or the program was not solved.

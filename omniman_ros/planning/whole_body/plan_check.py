@@ -55,11 +55,7 @@ class Verdict:
 
 
 class PlanCheck:
-    """Checks motions in the redundancy on a fine grid in time.
-
-    Args:
-        limits: Limits of the nine axes and of the wheels.
-    """
+    """Checks motions in the redundancy on a fine grid in time."""
 
     def __init__(
         self,
@@ -76,12 +72,7 @@ class PlanCheck:
         self._signs = resolver.signs(redundancy.centre)
 
     def judge(self, motion: Motion, now: float, until: float, around: Hindrances) -> Verdict:
-        """Check a motion from a time on to its end, or longer.
-
-        Args:
-            now: First time [s].
-            until: Time up to which what moves is looked at [s].
-        """
+        """Check a motion to its end, or longer; what moves is looked at up to `until` [s]."""
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)
         z, rates = motion.at(times)

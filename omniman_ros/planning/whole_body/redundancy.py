@@ -64,17 +64,11 @@ class Configurations:
 
 
 class ToolRedundancy:
-    """Arm and platform while the tool is on a path.
+    """Arm and platform while the tool is on a path in odom.
 
     Args:
-        path: Path of the tool in odom.
         centre: Joint angles (6,) of the start [rad]; the arm stays on their branch of the inverse
             kinematics, and each joint within half a revolution of them.
-
-    Attributes:
-        model: Kinematics of the robot.
-        path: Path of the tool.
-        centre: Joint angles of the start.
     """
 
     def __init__(self, model: WholeBodyModel, path: LedPath, centre: Array) -> None:

@@ -48,13 +48,9 @@ class Hindrances:
             raise InputError("solids must be finite, and so must their motion and its time")
 
     def placed(self, ages: Array) -> UprightSolids:
-        """Return all solids, the standing ones first, where they are at other times.
+        """Return all M solids, the standing ones first, at times (k,) after theirs [s].
 
-        Args:
-            ages: Times (k,) after that of the solids [s].
-
-        Returns:
-            M solids, whose centres (2, k, M) differ from time to time [m].
+        Their centres (2, k, M) differ from time to time [m].
         """
         solids = UprightSolids.join([self.standing, self.moving.solids])
         velocity = np.zeros((2, len(solids)))

@@ -42,17 +42,9 @@ class BodySetup:
 class BodyTask:
     """Platform and arm while the tool is led: along a path, or held at a place.
 
-    Args:
-        setup: The robot, and all options.
-        redundancy: Kinematics on the path of the tool, or at its place.
-        way: Way of the platform that leads the plans.
-        start: (9,) positions of all axes at rest.
-        time: Time at which the task begins [s].
+    Axes (9,) are at rest at the start; the way of the platform leads the plans.
 
     Attributes:
-        redundancy: Kinematics on the path of the tool.
-        way: Way of the platform that leads the plans.
-        controller: Control of the motion.
         has_end: Whether the task ends by itself, so that progress is expected.
 
     Raises:
@@ -106,10 +98,7 @@ class WholeBodyTask(BodyTask):
     """Leads the tool along one path, from rest to rest.
 
     Args:
-        setup: The robot, and all options.
         poses: Poses (k, 4, 4) of `tool0` in odom; the tool moves straight to the first.
-        start: (9,) positions of all axes at rest.
-        time: Time at which the task begins [s].
 
     Raises:
         InputError: The input is invalid, the path is too far away, the arm starts near a
@@ -143,10 +132,7 @@ class WholeBodyTask(BodyTask):
 class ToolHold(BodyTask):
     """Holds the tool where it is, while platform and arm give way and come back; without end.
 
-    Args:
-        setup: The robot, and all options.
-        start: (9,) positions of all axes at rest, to which the platform comes back.
-        time: Time at which the task begins [s].
+    The platform comes back to the start (9,).
 
     Raises:
         InputError: The positions are not finite, or the arm starts near a singularity.

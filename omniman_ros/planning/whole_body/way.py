@@ -11,11 +11,7 @@ from omniman_ros.planning.whole_body.obstruction import Obstruction
 
 
 class NoWayError(InputError):
-    """There is no way for the platform; the message says where, and what is in the way.
-
-    Args:
-        obstruction: What is in the way, at the place up to which there is a way.
-    """
+    """There is no way for the platform; the message says where, and what is in the way."""
 
     def __init__(self, message: str, obstruction: Obstruction) -> None:
         super().__init__(message)

@@ -51,12 +51,7 @@ class _Postures:
 
 
 class WaySearch:
-    """Finds ways of the platform.
-
-    Args:
-        gaps: Shape of the robot, with few spheres.
-        limits: Limits of the joints, the last six axes.
-    """
+    """Finds ways of the platform, for a shape with few spheres and limits of the joints."""
 
     def __init__(
         self,
@@ -80,10 +75,7 @@ class WaySearch:
         self._known: dict[tuple[int, ...], _Postures] = {}
 
     def find(self, start: Array, around: Hindrances) -> Way:
-        """Find a way from coordinates (4,) to the end of the path.
-
-        Args:
-            around: What is around the robot, of which that counts which stands.
+        """Find a way from coordinates (4,) to the end of the path, past what stands.
 
         Raises:
             NoWayError: There is none.
@@ -118,16 +110,11 @@ class WaySearch:
         standing: UprightSolids,
         reached: Array,
     ) -> tuple[Array, tuple[str, int] | None]:
-        """Return the costs (n,) of all points of the grid at a place of the path.
+        """Return the costs (n,) of all points of the grid at a place of the path [m].
 
-        Args:
-            place: Parameter of the path [m].
-            upright: x, y and psi (3,) of the tool there.
-            reached: Which points (n,) can be reached from the layer before.
-
-        Returns:
-            The costs, infinite where the robot cannot be, and the part and the solid that are in
-            the way of the point with the widest gap.
+        They are infinite where the robot cannot be, and where it does not come from the layer
+        before (`reached`). The part and the solid that are in the way of the point with the
+        widest gap come second. `upright` (3,) is x, y and psi of the tool.
         """
         o, result = self._options, np.full(math.prod(grid.shape), np.inf)
         postures = self._postures(grid, place)
@@ -243,13 +230,7 @@ class _Grid:
     def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Indices]:
         """Return the least costs after a step from one layer to the next, and the choices.
 
-        Args:
-            cost: Costs (shape) up to the layer before.
-            before: x, y and psi (3,) of the tool there.
-            after: x, y and psi (3,) of the tool at the next layer.
-
-        Returns:
-            Costs with the platform's travel, and the number of the shift that led to each point.
+        The frames before and after are x, y and psi (3,) of the tool.
         """
         o, span = self._options, 2 * SHIFTS + 1
         turn = float(after[2] - before[2])
