@@ -42,11 +42,7 @@ class BodyGeometry:
     that is less than the radius of a capsule; deeper, it is minus the radius. Between platform and
     load, and from solids, it is zero then.
 
-    Args:
-        description: Shapes of platform and arm, and where the arm is mounted.
-
     Attributes:
-        parts: Names of the parts.
         pairs: Names of the two parts of each pair that may collide.
         levers: (P, 6) largest travel of one part of each pair relative to the other, per angle of
             each joint [m/rad].

@@ -25,13 +25,9 @@ class PlacedSpheres:
 class BodySpheres:
     """Spheres that contain the cylinders of arm and tool, and the box of the load.
 
-    A cylinder is cut into equal pieces; a sphere around the middle of a piece contains it. The
-    spheres are larger than the cylinders by at most the square root of r^2 + d^2 / 4, less r,
-    where d is the length of a piece.
-
-    Args:
-        load: Shape of the load, if any.
-        spacing: Largest length of a piece [m].
+    A cylinder is cut into equal pieces of a largest length; a sphere around the middle of a piece
+    contains it. The spheres are larger than the cylinders by at most the square root of r^2 + d^2
+    / 4, less r, where d is the length of a piece.
 
     Attributes:
         radius: Radii (S,) [m].

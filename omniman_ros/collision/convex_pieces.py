@@ -52,7 +52,6 @@ def _is_ear(corners: Array, ring: Ring, k: int) -> bool:
 
 
 def _joined(corners: Array, pieces: list[Ring]) -> list[Ring]:
-    """Return fewer pieces with the same union."""
     for i, first in enumerate(pieces):
         for j in range(i):
             ring = _join(first, pieces[j])

@@ -59,7 +59,6 @@ def _distances(
     along: Array,
     reach: Array,
 ) -> Array:
-    """Return the distances (n,) of segments from their solids, see :func:`distances_along`."""
     low, high = outward(start), outward(start + along)
     slope_low, slope_high = dot(low, along), dot(high, along)
     squared = np.where(slope_low >= 0.0, dot(low, low), dot(high, high))

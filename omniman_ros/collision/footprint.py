@@ -32,15 +32,11 @@ class Limbs:
 class Footprint:
     """Bounds of the robot from above, at any heights.
 
-    What the robot has between two heights is bounded by rectangles: those of the platform, and
-    one for each group of limbs. Parts outside of these heights do not count. A rectangle contains
-    its part, so a distance from the rectangles is never above that from the robot.
-
-    Args:
-        platform: One rectangle, or several, whose union contains the platform.
-        heights: Heights of the lower and the upper side of the platform [m].
-        limbs: Arm, tool and load, or None.
-        margin: Vertical gap up to which an obstacle counts as being at the height of a part [m].
+    What the robot has between two heights is bounded by rectangles: those of the platform, whose
+    union contains it, and one for each group of limbs. Parts outside of these heights do not
+    count; up to a vertical gap, the margin [m], an obstacle counts as being at the height of a
+    part. A rectangle contains its part, so a distance from the rectangles is never above that from
+    the robot.
 
     Attributes:
         whole: (P,) or one: bounds of the robot at all heights.

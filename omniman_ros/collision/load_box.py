@@ -17,10 +17,8 @@ class LoadBox:
     """A box that is fixed to the flange, and its distances from other shapes.
 
     Two boxes touch first where an edge of one meets the other. Therefore the distance between them
-    is the least distance of the edges of each from the other.
-
-    Attributes:
-        extent: Distance of its farthest point from the flange's origin [m].
+    is the least distance of the edges of each from the other. Its extent [m] is from the flange's
+    origin to its farthest point.
     """
 
     def __init__(self, shape: LoadShape) -> None:

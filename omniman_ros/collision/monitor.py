@@ -241,7 +241,6 @@ class CollisionMonitor:
         return SpeedLimit(platform, arm, encounter, in_contact)
 
     def _share(self, free_time: float, stop_time: float) -> float:
-        """Return the share of full speed that a free time allows, see the class."""
         if free_time == math.inf:
             return 1.0
         p = self.parameters
@@ -261,18 +260,11 @@ class _FreeTime:
 
 
 class _Prediction:
-    """Distances of the robot's parts from solids, along courses at full speed.
+    """Distances of the robot's parts from M solids, along C courses (C, 9) at full speed.
 
-    Args:
-        courses: Motions (C, 9) at full speed.
-        times: Times (K,) at full speed [s]; the first is zero.
-        surroundings: M solids.
-        speed: Share of full speed at which solids that move are met.
-        time_left: Time after which the robot could be at rest, so that nothing moves on [s].
-        margin: Distance that is kept [m].
-
-    Attributes:
-        present: Present distances (N, M) of the N parts [m].
+    Times (K,) are at full speed, the first is zero; `time_left` is that after which the robot
+    could be at rest, so that nothing moves on [s]. Solids that move are met at a share of full
+    speed. The present distances are (N, M) [m].
     """
 
     def __init__(

@@ -119,14 +119,8 @@ def unseen_limit(
     be there before the robot. Who comes from the side or from behind to where the robot is already
     comes to it, and not the robot to them.
 
-    Args:
-        arrivals: Where people could be, and when.
-        outline: Rectangles that contain the robot.
-        pose: Pose (3,) of the robot in the frame of the arrivals [m, m, rad].
-        courses: Twists (3,) of the platform at full speed [m/s, m/s, rad/s], each with the time of
-            a stop from it [s].
-        radius: Radius of the people [m].
-        reaction_time: Time until the robot begins to brake [s].
+    The pose (3,) is in the frame of the arrivals [m, m, rad]. Courses are twists (3,) at full
+    speed [m/s, m/s, rad/s], each with the time B [s]; people have a radius [m].
     """
     result = UnseenLimit()
     for twist, stop_time in courses:

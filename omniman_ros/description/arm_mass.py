@@ -18,10 +18,7 @@ class ArmMass:
 
     The links have the masses of the description. The tool with its load has what the mass of the
     arm exceeds theirs by; an arm that is lighter than the links has them all lighter by one
-    factor.
-
-    Args:
-        arm: Mass of the arm and centre of its tool; all else is that of a fixed posture.
+    factor. Of the arm, only its mass and the centre of its tool count.
     """
 
     def __init__(self, arm: Arm, mount: Mount) -> None:

@@ -33,12 +33,9 @@ class Box:
 def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     """Return the deck with the body's length and width, and a box between the wheels below it.
 
-    Configurations have no heights. The deck extends from above the wheels to the base of the arm;
-    if that is too low, the deck starts between the wheels. A deck with an outline of its own is
-    covered by several boxes, and has no box below it.
-
-    Args:
-        mount: Height of the arm's base above the floor [m]; None if there is no arm.
+    Configurations have no heights. The deck extends from above the wheels to the base of the arm,
+    `mount` above the floor [m] if there is one; if that is too low, the deck starts between the
+    wheels. A deck with an outline of its own is covered by several boxes, and has no box below it.
     """
     radius = max(robot.wheels.radius)
     bottom = DECK_BOTTOM * radius
@@ -64,9 +61,8 @@ def platform_top(robot: Robot, mount: float | None) -> float:
 def platform_cover(body: Body, most: int) -> Array:
     """Return rectangles whose union contains the platform, from above.
 
-    Returns:
-        Rows (P, 5): centre in base_link, direction of the length, half length and half width
-        [m, m, rad, m, m]; one row, without rounding, if the platform is its bounding box.
+    Rows (P, 5) are those of `outline_cover` in base_link; one, without rounding, if the platform
+    is its bounding box.
     """
     if not body.outline_x:
         return np.array([[0.0, 0.0, 0.0, 0.5 * body.length, 0.5 * body.width]])

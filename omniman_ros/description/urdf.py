@@ -104,7 +104,6 @@ def urdf(
 
 
 def _require_unique_names(root: ElementTree.Element) -> None:
-    """Require that no two links and no two joints have the same name."""
     for kind, parameter in (("link", "wheels.names"), ("joint", "arm.joints")):
         names = Counter(element.get("name") for element in root.findall(kind))
         repeated = tuple(str(name) for name, count in names.items() if count > 1)
@@ -158,7 +157,6 @@ def _add_wheel(root: ElementTree.Element, robot: Robot, i: int, mass: float) -> 
 
 
 def _add_arm(root: ElementTree.Element, arm: ArmParameters, mount: Mount) -> None:
-    """Add the links and joints of the arm."""
     ElementTree.SubElement(root, "link", name=ARM_BASE)
     _add_joint(
         root,
@@ -192,7 +190,6 @@ def _add_arm(root: ElementTree.Element, arm: ArmParameters, mount: Mount) -> Non
 
 
 def _add_arm_link(root: ElementTree.Element, link: Link) -> None:
-    """Add a link of the arm with its inertia and shape."""
     element = ElementTree.SubElement(root, "link", name=link.name)
     _add_inertia(element, link.inertia)
     for i, tube in enumerate(link.tubes):
@@ -200,7 +197,6 @@ def _add_arm_link(root: ElementTree.Element, link: Link) -> None:
 
 
 def _add_tube(link: ElementTree.Element, colour: str, tube: Tube) -> None:
-    """Add a cylinder to the shape of a link."""
     size = {"radius": tube.radius, "length": tube.length}
     _add_shape(link, colour, "cylinder", size, tube.centre, tube.rpy)
 
@@ -261,7 +257,6 @@ def _add_joint(
     rpy: Vector,
     axis: Vector | None = None,
 ) -> ElementTree.Element:
-    """Add a joint between two links; a fixed joint has no axis."""
     joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
     _add(joint, "origin", xyz=xyz, rpy=rpy)
     ElementTree.SubElement(joint, "parent", link=parent)

@@ -44,11 +44,9 @@ class TrackedObstacle:
 class Track:
     """A thing by its disc, from the scan on in which it was first seen.
 
+    Times are those of the first scan and of the last one in which it was seen [s].
+
     Attributes:
-        number: Its identity.
-        radius: Radius [m].
-        begin: Time of the first scan [s].
-        seen: Time of the last scan in which it was seen [s].
         place: (2,) where it is expected now [m].
         is_moving: Whether it moves, or has moved lately.
         is_gone: Whether it is no longer there.

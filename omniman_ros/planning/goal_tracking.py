@@ -157,7 +157,6 @@ class GoalTracker:
     def _is_reached(
         self, goal: Goal, now: float, measured: MeasuredState, limits: EffectiveLimits
     ) -> bool:
-        """Return whether the goal is passed, or reached and at its end."""
         tolerance = limits.parameters.arrival
         if isinstance(goal, StateGoal):
             return passing.is_passed(goal, measured, tolerance)

@@ -148,7 +148,6 @@ class MotionSelector:
         return self.motion.between(begins, max(self.motion.end, now + 1e-3))
 
     def _braked(self, now: float) -> Motion:
-        """Return the motion, braked from now [s] on."""
         rest = self._rest_of_motion(now)
         return rest.braked(max(now, rest.start), self.limits.decelerations)
 

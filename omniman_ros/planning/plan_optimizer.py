@@ -145,7 +145,6 @@ class PlanOptimizer:
         return solver.solve(start, guess, stage, iterations)
 
     def _walls_near(self, request: PlanRequest) -> Walls:
-        """Select the walls that a plan can reach."""
         walls = request.walls
         if not len(walls):
             return walls

@@ -135,7 +135,6 @@ class Planner:
         self._apply(replace(self.limits, limit_scale=limit_scale, braking_scale=braking_scale))
 
     def _apply(self, limits: EffectiveLimits) -> None:
-        """Pass limits and model on to the collaborators."""
         self.limits = limits
         self._optimizer.configure(self.model, limits)
         self._selector.model, self._selector.limits = self.model, limits
@@ -287,7 +286,6 @@ class Planner:
         return self._walls if way is None else way.without(self._walls, self.footprint, margin)
 
     def _environment(self, obstacles: Ellipses) -> Environment:
-        """Return the obstacles together with workspace and map."""
         bounds = self.parameters.workspace.bounds
         return Environment(self.footprint, obstacles, bounds, self.grid, self._walls)
 

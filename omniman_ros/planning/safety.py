@@ -69,11 +69,9 @@ class Surroundings:
     def contact(self, motion: Motion, now: float) -> float:
         """Return the time from `now` on at which a motion comes too close to an obstacle [s].
 
-        A robot that is too close already may move, but not closer, so that it can leave; the part
-        of the margin that may be consumed does not add up over calls.
-
-        Returns:
-            Start of the interval in which it comes too close [s]; infinity if it never does.
+        It is the start of an interval, or infinity. A robot that is too close already may move,
+        but not closer, so that it can leave; the part of the margin that may be consumed does not
+        add up over calls.
         """
         times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
         first = math.inf
@@ -132,7 +130,6 @@ class Surroundings:
     def _contact_and_gap(
         self, motion: Motion, now: float, times: Array, poses: Array, velocities: Array
     ) -> tuple[float, float]:
-        """Return the time of contact and the smallest gap; see `threat`."""
         wall = self._at_wall(motion, now, 0.0)
         boxes, known = self._pairs.boxes, self._pairs.ellipses
         certain = replace(known, growth=np.zeros(len(known)))

@@ -102,7 +102,6 @@ class Problem:
         return np.hstack([poses, velocities]), 2.0 * max(strength, 1.0) * reach
 
     def _weights(self, moves: bool, steps: int) -> Array:
-        """Return the weights (N, 5) at the ends of the steps."""
         w, model = self.limits.parameters.weights, self.model
         size = math.hypot(*model.half)
         velocity = w.velocity if moves else 0.0

@@ -34,10 +34,8 @@ class SolverError(OmnimanError):
 class QuadraticProgram:
     """Minimises x' H x / 2 + g' x within lower <= x <= upper and low <= A x <= high.
 
-    Args:
-        h: Structure of H.
-        a: Structure of A.
-        sizes: Numbers of stages, states, controls and rows of each stage, for HPIPM.
+    H and A are given by their structures; `sizes` are the numbers of stages, states, controls and
+    rows of each stage, for HPIPM.
 
     Raises:
         SolverError: casadi has no HPIPM.

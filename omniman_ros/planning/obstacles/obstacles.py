@@ -232,7 +232,6 @@ class ObstacleSet:
         return tuple(self._obstacles)
 
     def _drop_expired(self, now: float) -> None:
-        """Delete the obstacles whose lifetime is over."""
         expired = [key for key, known in self._obstacles.items() if known.expiry <= now]
         for key in expired:
             self.delete(key)

@@ -132,11 +132,6 @@ class ObstacleTrack:
     obstacle has changed its velocity (if its speed suffices for the distance) or was moved (a jump
     faster than `max_speed`: the track restarts at rest with an uncertain velocity).
 
-    Args:
-        parameters: Noise, acceleration and largest speed.
-        time: Time of the first observation [s].
-        x, y: First observed position [m].
-
     Attributes:
         position: (x, y) at `time` [m].
         velocity: (vx, vy) [m/s], not above `max_speed`.
@@ -169,14 +164,12 @@ class ObstacleTrack:
         self._begin(time, x, y)
 
     def _begin(self, time: float, x: float, y: float) -> None:
-        """Begin the track at rest at an observation, with an uncertain velocity."""
         state = _State(x, y, 0.0, 0.0, self._noise, 0.0, self._parameters.max_speed**2)
         self._steady = self._agile = state
         self._odds = 0.5  # probability of steady motion
         self._publish(time, x, y)
 
     def _publish(self, time: float, x: float, y: float) -> None:
-        """Set the attributes from the state after an observation."""
         self._doubtful: tuple[float, float, float] | None = None
         self._doubts = 0
         self.doubted = math.inf

@@ -112,7 +112,6 @@ class LatticeSearch:
         return Found(whole, nodes, headings)
 
     def _joints(self, end: int) -> Joints:
-        """Return the lines of the start (0) or the goal (1)."""
         problem, pose = self._problem, self._lattice.ends[end]
         nodes, headings = self._lattice.near(pose)
         free = ~self._marks.taken(nodes, headings)
@@ -160,7 +159,6 @@ class LatticeSearch:
         return int(exits[np.argmin(arrived)])
 
     def _guess(self, nodes: Index, headings: Index) -> Single:
-        """Return the estimated cost to go (N,) [s] from states."""
         result: Single = np.maximum(self._to_go[nodes], self._spin[headings])
         return result + self._extra[headings]
 
@@ -250,13 +248,10 @@ def enclosed(
     first: tuple[Index, Index],
     last: tuple[Index, Index],
 ) -> Generator[int, None, Words | None]:
-    """Check whether there is no path from first to last, nodes (N,) and headings (N,) each.
+    """Return the headings (nodes,) that are reached from the last; None if there is a path.
 
-    Opposite headings count as the same. All headings of a node are processed at once, which is
-    much cheaper than an exhausted search.
-
-    Returns:
-        None if there is a path, else the headings (nodes,) that are reached from the last.
+    It is sought from nodes (N,) and headings (N,) to others. Opposite headings count as the same.
+    All headings of a node are processed at once, which is much cheaper than an exhausted search.
     """
     free = ~marks.words[0] & marks.full
     reached = np.zeros(lattice.region.size, dtype=np.uint64)

@@ -41,12 +41,8 @@ COARSE_PARTS = 8
 class HeadingOccupancy:
     """Words of all nodes of a lattice; empty until `fill` is done.
 
-    Levels are those of `Rooms`, and a fifth one around a start or a goal whose gap is smaller
-    than the margin.
-
-    Args:
-        problem: Obstacles, and the gaps to keep.
-        room: (2,) gaps at the start and the goal [m].
+    Levels are those of `Rooms`, and a fifth one around a start or a goal whose gap, of both (2,)
+    [m], is smaller than the margin.
 
     Attributes:
         words: (levels, nodes) words by the number of the node.

@@ -1,24 +1,21 @@
 """Search of a route over (x, y, heading) around static obstacles, in slices of time.
 
 The search is on a lattice of nodes and headings (`lattice`). First the occupied states are marked
-(`occupancy`). Then the 2-D cost to the goal is computed over the nodes at which any heading
-is free; it guides the search over (x, y, heading) (`find`, `tree`), whose result does
-not depend on the slices. The path is checked and straightened with exact gaps (`straighten`).
+(`occupancy`). Then the 2-D cost to the goal is computed over the nodes at which any heading is
+free; it guides the search over (x, y, heading) (`find`, `tree`), whose result does not depend on
+the slices. The path is checked and straightened with exact gaps (`straighten`).
 """
 
 from collections.abc import Generator, Iterator
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.planning.obstacles.separation import Workspace
 from omniman_ros.planning.route.find import LatticeSearch
 from omniman_ros.planning.route.lattice import Frame, Lattice, Region, Work
 from omniman_ros.planning.route.occupancy import HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import Route, straight
 from omniman_ros.planning.route.straighten import Straightener
-
-UNLIMITED: Workspace = (-1e3, -1e3, 1e3, 1e3)  #: Workspace without practical bounds [m]
 
 FINEST = 120  #: Largest number of headings per revolution: half of them fit into a word
 #: Largest number of headings of a robot that half a revolution changes: all fit into a word

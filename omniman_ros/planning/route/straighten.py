@@ -95,7 +95,6 @@ class Straightener:
         return result
 
     def _priced(self, checked: Checked) -> Priced:
-        """Compute the costs of a checked path."""
         problem, path, gap = self._problem, checked.path, checked.gap
         step = np.diff(along(path, checked.fine), axis=0)
         factor = problem.rooms.factors(gap)

@@ -18,13 +18,9 @@ FIRST_ROWS = 1024  #: Initial number of nodes for which a tree has memory
 class Tree:
     """States (node, heading) that were reached; each reached node has a row of all headings.
 
-    The number of a state is its row times the number of headings plus its heading. The number of
-    a move is three times that of its step, plus 0, 1 or 2 if the heading decreases by one, stays,
-    or increases by one.
-
-    Attributes:
-        cost: (rows * headings,) least costs so far by the number of the state [s]; infinity if it
-            was not reached.
+    The number of a state is its row times the number of headings plus its heading; its least cost
+    so far [s] is infinite if it was not reached. The number of a move is three times that of its
+    step, plus 0, 1 or 2 if the heading decreases by one, stays, or increases by one.
     """
 
     def __init__(self, nodes: int, headings: int) -> None:
@@ -140,7 +136,6 @@ class Queue:
 
 
 def _distinct(values: Index) -> Iterator[int]:
-    """Yield each value once, in ascending order."""
     if len(values):
         low = int(values.min())
         yield from (np.flatnonzero(np.bincount(values - low)) + low).tolist()

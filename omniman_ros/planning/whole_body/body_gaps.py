@@ -292,11 +292,8 @@ def _by_coordinates(
 ) -> Array:
     """Return derivatives (k, M, 4) of gaps by the coordinates.
 
-    Args:
-        normal: Derivatives (k, M, 3) of the gaps by the centres, in odom.
-        centre: Centres (k, M, 3) of the spheres in the frame of the solids [m].
-        moved: Derivatives (k, M, 3, 6) of the centres by the joints, in base_link.
-        poses: Poses (k, 3) of base_link in the frame of the solids.
+    Normals (k, M, 3) are the derivatives by the centres, in odom; centres (k, M, 3) and poses (k,
+    3) are in the frame of the solids; `moved` (k, M, 3, 6) is by the joints, in base_link.
     """
     lever = centre[..., :2] - poses[:, None, :2]
     c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]

@@ -58,9 +58,6 @@ class WholeBodyController:
 
     Each cycle improves the last plan by one Gauss-Newton step. A plan ends at rest, and is
     followed only if it is clear to its end, or if nothing else is safer.
-
-    Attributes:
-        motion: Motion of the redundancy coordinates that is followed; it ends at rest.
     """
 
     def __init__(

@@ -48,10 +48,8 @@ DIAGONAL = np.sqrt(0.5)  #: Share of the limit of a vector that each of its comp
 class Linearisation:
     """Improves plans.
 
-    Args:
-        limits: Limits of the nine axes and of the wheels.
-        tool: Largest speed [m/s], acceleration [m/s^2] of the tool on its path, least margin to
-            singularities, and share of the axes' limits that is left free.
+    Limits of the tool are its largest speed [m/s] and acceleration [m/s^2] on its path, least
+    margin to singularities, and share of the axes' limits that is left free.
     """
 
     def __init__(

@@ -72,12 +72,8 @@ def transition(step: float) -> tuple[Array, Array]:
 class RedundancyProgram:
     """Solves the programs of all cycles, which have the same structure.
 
-    Args:
-        steps: Number N of steps.
-        step: Length of a step [s].
-        rows: Number R of rows of a stage.
-        linear: Weights (3,) of the slack.
-        quadratic: Weights (3,) of its squares.
+    They have N steps of a length [s], each with a stage of R rows, and weights (3,) of the slack
+    and of its squares.
     """
 
     def __init__(
