@@ -32,7 +32,11 @@ class SpeedRamp:
         self._speeds, self._at, self._is_catching_up = speeds, at, True
 
     def step_to_rest(self, deceleration: float, now: float) -> Array:
-        """Return the next speeds (n,) [rad/s] of the ramp to rest of the fastest wheel."""
+        """Return the next speeds (n,) [rad/s] of the ramp to rest of the fastest wheel.
+
+        Args:
+            deceleration: Deceleration of the fastest wheel [rad/s^2].
+        """
         step, fastest = self._step(deceleration, now), float(np.abs(self._speeds).max())
         self._is_catching_up = True
         scale = 1.0 - step / fastest if fastest > step else 0.0
@@ -40,7 +44,11 @@ class SpeedRamp:
         return self._speeds
 
     def step_towards(self, target: Array, acceleration: float, now: float) -> Array:
-        """Return the next speeds (n,) [rad/s] on the ramp to a command, then the command."""
+        """Return the next speeds (n,) [rad/s] on the ramp to a command, then the command.
+
+        Args:
+            acceleration: Acceleration of the wheel with the largest change [rad/s^2].
+        """
         step = self._step(acceleration, now)
         if self._is_catching_up:
             change = target - self._speeds
@@ -130,7 +138,12 @@ class SetpointGenerator:
         )
 
     def driving(self, speeds: Array, now: float) -> list[Setpoint]:
-        """Return the setpoints that follow the command, or ramp to rest if it is stale."""
+        """Return the setpoints that follow the command, or ramp to rest if it is stale.
+
+        Args:
+            speeds: Measured wheel speeds (n,) [rad/s], at which a ramp after torques or voltages
+                begins.
+        """
         p = self._parameters
         command = self._command
         if command is None or self._is_stale(self._commanded_at, now):

@@ -30,6 +30,7 @@ class Transmission:
 
         Args:
             torque: Torque at the wheel [N m]; it is clipped to `max_torque`.
+            velocity: Speed of the wheel [rad/s].
         """
         torque = min(max(torque, -self.max_torque), self.max_torque)
         factor = 1.0 / self.efficiency if _is_driving(torque, velocity) else self.efficiency
@@ -60,6 +61,9 @@ class Transmission:
 
         The torque is tau = K (V - K w) / R (MPC 2021 (21), L = 0). The measured supply voltage
         limits the voltage, as it does at the motor.
+
+        Args:
+            setpoint: Setpoint of the motor voltage [V].
         """
         supply = feedback.bus_voltage
         limit = min(supply, self.max_voltage) if supply > 0.0 else self.max_voltage

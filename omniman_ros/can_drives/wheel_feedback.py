@@ -45,7 +45,12 @@ class WheelMonitor:
         self._at = None
 
     def check(self, feedback: Feedback, ratio: float, max_speed: float, min_supply: float) -> str:
-        """Return why a report at the motor's shaft cannot be accepted, or an empty string."""
+        """Return why a report at the motor's shaft cannot be accepted, or an empty string.
+
+        Args:
+            max_speed: Largest speed of the wheel [rad/s].
+            min_supply: Lowest supply voltage [V].
+        """
         speed = feedback.velocity / ratio
         if abs(speed) > RUNAWAY_SPEED * max_speed:
             return f"runs away at {speed:.1f} rad/s, the limit is {max_speed:.1f} rad/s"

@@ -56,6 +56,7 @@ class GoalDriver:
         """Send a goal, and wait until the robot has reached it.
 
         Args:
+            pose: Goal pose (x, y, heading) [m, m, rad].
             relative: Whether the goal is given relative to the present pose of base_link, rather
                 than in odom.
 

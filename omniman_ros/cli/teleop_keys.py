@@ -77,7 +77,12 @@ class _HeldKey:
 
 
 class KeyTeleop:
-    """Converts keys to a twist, with given speeds at scale 1 [m/s, rad/s]."""
+    """Converts keys to a twist, with given speeds at scale 1 [m/s, rad/s].
+
+    Args:
+        linear: Speed at scale 1 [m/s].
+        angular: Yaw rate at scale 1 [rad/s].
+    """
 
     def __init__(self, linear: float, angular: float) -> None:
         self._linear = linear

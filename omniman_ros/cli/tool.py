@@ -66,6 +66,7 @@ class ToolDriver:
         """Move the tool to a position, and wait until it has arrived.
 
         Args:
+            position: Position (x, y, z) [m].
             relative: Whether the position is given relative to the tool, with x ahead of the robot
                 and y to its left, rather than in odom.
 
@@ -127,7 +128,12 @@ class ToolDriver:
 
 
 def straight_path(start: Position, end: Position) -> Path:
-    """Return a path of two poses; zero quaternions mean that the tool keeps its orientation."""
+    """Return a path of two poses; zero quaternions mean that the tool keeps its orientation.
+
+    Args:
+        start: First position, in odom [m].
+        end: Last position, in odom [m].
+    """
     path = Path()
     path.header.frame_id = "odom"
     for x, y, z in (start, end):

@@ -91,7 +91,11 @@ class ArmSegments:
         return result
 
     def frames(self, q: Array) -> Array:
-        """Return poses (..., 7, 4, 4) of base and links in base_link at joint angles (..., 6)."""
+        """Return poses (..., 7, 4, 4) of base and links in base_link at joint angles (..., 6).
+
+        Args:
+            q: Joint angles (..., 6) [rad].
+        """
         result: Array = self._base @ self._model.frames(q)
         return result
 

@@ -233,7 +233,11 @@ class PlatformBox:
         return load.distances_from_solids(flange, self._box, reach)[..., 0]
 
     def distances_from_solids(self, poses: Array, solids: UprightSolids) -> Array:
-        """Return the distances (..., M) from solids at poses (..., 3) in their frame [m]."""
+        """Return the distances (..., M) from solids at poses (..., 3) in their frame [m].
+
+        Args:
+            poses: Poses (..., 3) of base_link in the frame of the solids [m, m, rad].
+        """
         return solids.box_distances(poses, self._half, self._heights)
 
 

@@ -6,7 +6,12 @@ from omniman_ros.core.arrays import Array
 
 
 def curve_poses(pose: Array, twist: Array, times: Array) -> Array:
-    """Return the poses (K, 3) that a constant twist in base_link leads to at times (K,) [s]."""
+    """Return the poses (K, 3) that a constant twist in base_link leads to at times (K,) [s].
+
+    Args:
+        pose: Pose (3,) at time zero [m, m, rad].
+        twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+    """
     x, y, angle = (times * each for each in twist.tolist())
     # The chord of an arc of this angle is sinc(angle / 2) times its length, at half the angle.
     chord = np.sinc(0.5 * angle / np.pi)

@@ -119,7 +119,11 @@ class Rectangles:
         )
 
     def support(self, directions: Array) -> Array:
-        """Return the farthest extents (...) of all of them along directions (...) [m, rad]."""
+        """Return the farthest extents (...) of all of them along directions (...) [m, rad].
+
+        Args:
+            directions: Angles in base_link [rad].
+        """
         corners = self.corners.reshape(-1, 2)
         along = np.stack((np.cos(directions), np.sin(directions)), axis=-1) @ corners.T
         result: Array = along.max(axis=-1)

@@ -18,7 +18,11 @@ STEP = 1e-5  #: Step of the numerical derivative of a rectangle's gap [m, rad]
 
 
 def point_gaps(solids: UprightSolids, points: Array) -> tuple[Array, Array]:
-    """Return signed distances (..., M) of points (3, ...) and their derivatives (3, ..., M)."""
+    """Return signed distances (..., M) of points (3, ...) and their derivatives (3, ..., M).
+
+    Args:
+        points: Points (3, ...) [m].
+    """
     dx, dy = (points[k][..., None] - solids.centre[k] for k in (0, 1))
     c, s = np.cos(solids.yaw), np.sin(solids.yaw)
     x, y = c * dx + s * dy, c * dy - s * dx
@@ -66,6 +70,9 @@ def rectangle_gaps(
     """Return signed distances (..., M) of an upright box at poses (..., 3) from solids [m].
 
     Poses are those of the centre of its rectangle, with half length and half width (2,) [m].
+
+    Args:
+        poses: Poses of the centre of the rectangle [m, m, rad].
     """
     yaw = solids.yaw - poses[..., 2, None]
     x, y = (solids.centre[k] - poses[..., k, None] for k in (0, 1))

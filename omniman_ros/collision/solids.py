@@ -38,7 +38,14 @@ class UprightSolids:
     def box(
         pose: Sequence[float], length: float, width: float, heights: tuple[float, float]
     ) -> "UprightSolids":
-        """Return one box by the pose (x, y, yaw) of its centre and its lengths [m, rad]."""
+        """Return one box by the pose (x, y, yaw) of its centre and its lengths [m, rad].
+
+        Args:
+            pose: Pose (x, y, yaw) of its centre [m, m, rad].
+            length: Length [m].
+            width: Width [m].
+            heights: Heights of its lower and its upper side [m].
+        """
         x, y, yaw = pose
         return UprightSolids(
             np.array([[x], [y]]),
@@ -138,6 +145,9 @@ class UprightSolids:
         """Return the distances (..., M) of an upright box from solids; zero where they meet [m].
 
         The centre of its rectangle has poses (..., 3); half length and half width are (2,) [m].
+
+        Args:
+            poses: Poses (..., 3) of the centre of its rectangle [m, m, rad].
         """
         yaw = self.yaw - poses[..., 2, None]
         x, y = (self.centre[i] - poses[..., i, None] for i in (0, 1))
@@ -162,6 +172,9 @@ def corner_distances(
     The centre (x, y) of the rectangle and its direction are in the frame of the fixed one; both
     have half lengths and half widths (2, ...) [m]. The second result is whether a side of the
     fixed rectangle separates the two.
+
+    Args:
+        yaw: Its direction there [rad].
     """
     c, s = np.cos(yaw), np.sin(yaw)
     least = np.full(np.broadcast(x, yaw).shape, np.inf)

@@ -17,7 +17,12 @@ class SpeedLimits:
     braking: Sequence[float]  #: Largest deceleration (6,) of each joint [rad/s^2]
 
     def share(self, motion: Array) -> float:
-        """Return the largest ratio of a motion (9,), twist and joint rates, to its limits."""
+        """Return the largest ratio of a motion (9,), twist and joint rates, to its limits.
+
+        Args:
+            motion: Twist of the platform in base_link and rates of the joints (9,) [m/s, m/s,
+                rad/s, rad/s ...].
+        """
         return _largest_ratio(motion, self.velocity, self.rate)
 
     def stop_time(self, motion: Array) -> float:

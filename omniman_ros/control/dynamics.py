@@ -106,7 +106,13 @@ class PlatformDynamics:
         return torque
 
     def body_wrench(self, twist: Array, twist_rate: Array) -> Array:
-        """Return the wrench (3,) in base_link that moves platform and arm [N, N, N m]."""
+        """Return the wrench (3,) in base_link that moves platform and arm [N, N, N m].
+
+        Args:
+            twist: Twist x'_R (3,) in base_link [m/s, m/s, rad/s].
+            twist_rate: Derivative (3,) of its components in base_link, CCTA (20) [m/s^2, m/s^2,
+                rad/s^2].
+        """
         vx, vy, w = twist.tolist()
         inertial = twist_rate + np.array([-w * vy, w * vx, 0.0])
         wrench: Array = self.mass_matrix @ inertial - (w * w) * self._moment
@@ -141,6 +147,7 @@ class PlatformDynamics:
 
         Args:
             twist: Twist (3,) in base_link [m/s, m/s, rad/s], for the speeds of the rollers.
+            wheel_speeds: Wheel speeds (n,) [rad/s].
         """
         drag = self._drag * smooth_sign(self.rolling @ twist)
         shaft = self._viscous * wheel_speeds + self._coulomb * smooth_sign(wheel_speeds)
@@ -163,7 +170,11 @@ class PlatformDynamics:
         return result
 
     def voltage_torques(self, wheel_speeds: Array) -> tuple[Array, Array]:
-        """Return the least and greatest torques (n,) [N m] within voltage and current limits."""
+        """Return the least and greatest torques (n,) [N m] within voltage and current limits.
+
+        Args:
+            wheel_speeds: Wheel speeds (n,) [rad/s].
+        """
         limit = self._motor.max_voltage
         return self.torque_of(-limit, wheel_speeds), self.torque_of(limit, wheel_speeds)
 
@@ -172,6 +183,7 @@ class PlatformDynamics:
 
         Args:
             volts: Motor voltages (n,) [V], or a single voltage for all motors.
+            wheel_speeds: Wheel speeds (n,) [rad/s].
         """
         motor = self._motor
         gain = motor.gear_ratio * motor.torque_constant
@@ -184,7 +196,12 @@ class PlatformDynamics:
         return torque
 
     def voltage(self, torque: Array, wheel_speeds: Array) -> Array:
-        """Return motor voltages (n,) [V], CCTA (22) at constant current, within their limit."""
+        """Return motor voltages (n,) [V], CCTA (22) at constant current, within their limit.
+
+        Args:
+            torque: Wheel torques (n,) [N m].
+            wheel_speeds: Wheel speeds (n,) [rad/s].
+        """
         motor = self._motor
         emf = motor.gear_ratio * motor.torque_constant * wheel_speeds
         volts = motor.resistance * self.current(torque, wheel_speeds) + emf
@@ -202,6 +219,8 @@ class PlatformDynamics:
         large, so the direction of the acceleration is kept.
 
         Args:
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+            wheel_speeds: Wheel speeds (n,) [rad/s].
             limit: Linear and angular limit of the rate of the twist [m/s^2, rad/s^2].
         """
         hold = self.platform_torque(twist, np.zeros(3)) + self.friction_torque(twist, wheel_speeds)

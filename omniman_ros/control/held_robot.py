@@ -257,6 +257,7 @@ class HeldRobotDetector:
         """Process a report of the drives.
 
         Args:
+            speeds: Wheel speeds (n,) [rad/s].
             effort: Wheel torques (n,) [N m]. None, or numbers that are not finite or implausible,
                 mean that the drives do not report them: the estimate then begins anew.
         """

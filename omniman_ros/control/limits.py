@@ -103,6 +103,7 @@ def ramp_down(twist: Array, deceleration: Pair, dt: float) -> Array:
     Exactly zero is reached after ratio(twist, deceleration) seconds.
 
     Args:
+        twist: Present twist (3,) [m/s, m/s, rad/s].
         deceleration: Linear and angular limit [m/s^2, rad/s^2].
     """
     stop_time = ratio(twist, deceleration)
@@ -117,6 +118,7 @@ def slowed(
     A twist within the share of the limits stays the same.
 
     Args:
+        twist: Twist (3,) to limit [m/s, m/s, rad/s].
         before: Twist (3,) of the last step, from which it decelerates.
         velocity: Linear and angular limit of the velocity [m/s, rad/s].
         deceleration: Linear and angular limit of the deceleration [m/s^2, rad/s^2].

@@ -310,6 +310,7 @@ class Odometry:
         """Set the pose; the twist is kept.
 
         Args:
+            pose: Pose x, y, theta in odom [m, m, rad].
             covariance: Covariance (3, 3) of the pose; None means zero.
 
         Raises:

@@ -92,6 +92,7 @@ class SupportModel:
         Args:
             acceleration: Acceleration (3,) of base_link's origin in space, in base_link, and of
                 the yaw [m/s^2, m/s^2, rad/s^2].
+            yaw_rate: Yaw rate [rad/s].
         """
         result: Array = self._rest + self._shift @ acceleration + yaw_rate**2 * self._spin
         return result
@@ -127,6 +128,9 @@ class SupportModel:
         wheels on the floor, it is without: a robot that slips in a curve finds grip again. The
         share is above 1 if the limits leave more than that. It is not positive if the robot does
         not have the margin, or a wheel no load, at rest.
+
+        Args:
+            margin: Smallest margin [m].
         """
         linear, yaw = map(max, limits.acceleration, limits.deceleration)
         speed, turn = limits.velocity

@@ -115,13 +115,20 @@ class WheelCascade:
         """Return a twist (3,) scaled down so that no wheel exceeds its largest speed.
 
         Sets `saturated`.
+
+        Args:
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
         """
         scale = saturation(self.kinematics.J @ twist, self._parameters.robot.motor.max_speed)
         self.saturated = scale < 1.0
         return twist * scale
 
     def rest_command(self, measured: Array) -> WheelCommand:
-        """Return a command of zero speeds; tell the coupling controller once the wheels rest."""
+        """Return a command of zero speeds; tell the coupling controller once the wheels rest.
+
+        Args:
+            measured: Measured wheel speeds (n,) [rad/s].
+        """
         self.reference = np.zeros_like(self.reference)
         self.demanded_torque = np.zeros_like(self.demanded_torque)
         self._wheels.reset()
@@ -135,6 +142,11 @@ class WheelCascade:
         """Return a command of motor voltages that were computed outside the cascade.
 
         The cascade follows the wheels meanwhile, so that it can take over at any time.
+
+        Args:
+            volts: Motor voltages (n,) [V].
+            measured: Measured wheel speeds (n,) [rad/s].
+            probe: Test torques (n,) to add [N m], or None.
         """
         self.reference = measured
         self.demanded_torque = self.dynamics.torque_of(volts, measured)
@@ -155,7 +167,9 @@ class WheelCascade:
         """Return the command for a reachable twist.
 
         Args:
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s], as returned by :meth:`reachable`.
             rate: Derivative (3,) of its components in base_link [m/s^2, m/s^2, rad/s^2].
+            measured: Measured wheel speeds (n,) [rad/s].
             probe: Test torques (n,) to add [N m], even if feed-forward is off, or None.
         """
         wheel_speeds = self.kinematics.J @ twist

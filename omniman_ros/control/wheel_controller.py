@@ -57,6 +57,8 @@ class WheelController:
         """Return torques (n,) [N m] within the limits; saturated wheels do not wind up.
 
         Args:
+            reference: Demanded wheel speeds (n,) [rad/s].
+            measured: Measured wheel speeds (n,) [rad/s].
             limits: Smallest and largest torques (n,) [N m] if they are tighter than those of the
                 current limit, else None.
         """

@@ -162,6 +162,9 @@ class WheelHealthMonitor:
     def update_torques(self, time: float, effort: Array | None) -> None:
         """Process the torques that the drives report.
 
+        Args:
+            effort: Torques (n,) [N m], or None if the drives report none.
+
         Raises:
             InputError: The array has the wrong size.
         """
@@ -214,7 +217,12 @@ class WheelHealthMonitor:
         return f"wheel '{self._names[wheel]}' is blocked: torque, but no speed"
 
     def rest_notice(self, reference: Array, speeds: Array) -> str:
-        """Return a clause about the wheels that stand still despite their reference speeds."""
+        """Return a clause about the wheels that stand still despite their reference speeds.
+
+        Args:
+            reference: Demanded speeds (n,) [rad/s].
+            speeds: Measured speeds (n,) [rad/s].
+        """
         resting = np.abs(speeds) <= np.maximum(REST_SHARE * np.abs(reference), REST_SPEED)
         if resting.all():
             return "all wheels stand still"

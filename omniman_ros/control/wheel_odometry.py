@@ -146,6 +146,7 @@ class WheelOdometry:
         """Set the pose.
 
         Args:
+            pose: Pose x, y, theta in odom [m, m, rad].
             covariance: Covariance (3, 3) of the pose; None means zero.
 
         Raises:

@@ -36,6 +36,7 @@ def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
     """Return x, y and rotation about z (3,) of a twist or an acceleration, in its unit.
 
     Args:
+        message: Twist [m/s, rad/s] or acceleration [m/s^2, rad/s^2].
         bound: Largest plausible magnitude of each of its six numbers, in its unit.
 
     Raises:

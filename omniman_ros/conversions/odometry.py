@@ -16,7 +16,11 @@ ODOMETRY_NUMBERS = 16  #: Count of the numbers of an odometry message that chang
 
 
 def initialize_odometry(message: Odometry, twist_variance: float) -> None:
-    """Write the constant parts; `twist_variance` is in m^2/s^2 and rad^2/s^2."""
+    """Write the constant parts; `twist_variance` is in m^2/s^2 and rad^2/s^2.
+
+    Args:
+        twist_variance: Variance of the planar twist [m^2/s^2, rad^2/s^2].
+    """
     for i in range(6):
         measured = i in PLANAR_INDICES
         message.twist.covariance[7 * i] = twist_variance if measured else UNMEASURED_VARIANCE
@@ -51,7 +55,12 @@ def set_odometry_numbers(message: Odometry, numbers: Sequence[float]) -> None:
 def fill_odometry(
     message: Odometry, pose: Sequence[float], twist: Array, covariance: Array, stamp: Time
 ) -> None:
-    """Write the parts that change; see :func:`odometry_numbers`."""
+    """Write the parts that change; see :func:`odometry_numbers`.
+
+    Args:
+        pose: Pose x, y, theta in the header's frame [m, m, rad].
+        twist: Twist (3,) in the child frame [m/s, m/s, rad/s].
+    """
     message.header.stamp = stamp
     set_odometry_numbers(message, odometry_numbers(pose, twist, covariance))
 

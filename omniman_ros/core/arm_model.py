@@ -58,7 +58,11 @@ class ArmModel:
         self._cos, self._sin = np.round(np.cos(DH_TWISTS), 15), np.sin(DH_TWISTS)
 
     def frames(self, q: Array) -> Array:
-        """Return the poses (..., 7, 4, 4) of base and DH frames in the base frame [m]."""
+        """Return the poses (..., 7, 4, 4) of base and DH frames in the base frame [m].
+
+        Args:
+            q: Joint angles (..., 6) [rad].
+        """
         shape = q.shape[:-1]
         frames = np.empty((*shape, JOINTS + 1, 4, 4))
         frames[..., 0, :, :] = np.eye(4)
@@ -68,7 +72,11 @@ class ArmModel:
         return frames
 
     def forward(self, q: Array) -> Array:
-        """Return the pose (..., 4, 4) of `tool0` in the base frame [m]."""
+        """Return the pose (..., 4, 4) of `tool0` in the base frame [m].
+
+        Args:
+            q: Joint angles (..., 6) [rad].
+        """
         result: Array = self.frames(q)[..., -1, :, :]
         return result
 
@@ -76,6 +84,9 @@ class ArmModel:
         """Return the geometric Jacobian (..., 6, 6): joint rates to linear and angular velocity.
 
         Both are velocities of `tool0`, expressed in the base frame [m/s, rad/s].
+
+        Args:
+            q: Joint angles (..., 6) [rad].
         """
         return self.jacobian_of(self.frames(q))
 
@@ -98,6 +109,9 @@ class ArmModel:
         The angles are in (-pi, pi]. The branches combine shoulder left or right, wrist either way,
         and elbow up or down. A branch without a solution is NaN. With the wrist stretched
         (sin q5 = 0), only a combination of q2 + q3 + q4 and q6 is determined: q6 is set to 0.
+
+        Args:
+            poses: Poses (..., 4, 4) of `tool0` in the base frame [m].
         """
         shape = poses.shape[:-2]
         pose = poses.reshape(-1, 4, 4)
@@ -118,6 +132,9 @@ class ArmModel:
         The distance is the largest difference of a joint's angle. On each branch, the angles are
         those nearest to `q` up to whole revolutions; an angle beyond its limit is moved back by
         one revolution. The result is None if no solution is within the limits.
+
+        Args:
+            pose: Pose (4, 4) of `tool0` in the base frame [m].
         """
         solutions = self.inverse(pose)
         solutions = solutions[np.isfinite(solutions).all(axis=1)]

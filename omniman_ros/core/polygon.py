@@ -10,13 +10,21 @@ LEAST_WIDTH = 1e-5  #: Width of a slab up to which it is left out [m]
 
 
 def signed_area(corners: Array) -> float:
-    """Return the area of a polygon (K, 2) [m^2], above zero if it is counter-clockwise."""
+    """Return the area of a polygon (K, 2) [m^2], above zero if it is counter-clockwise.
+
+    Args:
+        corners: Corners (K, 2) [m].
+    """
     x, y = corners[:, 0], corners[:, 1]
     return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
 
 def is_simple(corners: Array) -> bool:
-    """Return whether sides of a polygon (K, 2) meet only where neighbours have their corner."""
+    """Return whether sides of a polygon (K, 2) meet only where neighbours have their corner.
+
+    Args:
+        corners: Corners (K, 2), three or more [m].
+    """
     count = len(corners)
     start, along = corners, np.roll(corners, -1, axis=0) - corners
     ahead = np.roll(along, -1, axis=0)

@@ -94,7 +94,12 @@ BASE = Link(
 
 
 def tool_inertia(mass: float, centre: Vector = TOOL_CENTRE) -> Inertia:
-    """Return the inertia of a tool with its load in the frame of the flange, `tool0` [kg, m]."""
+    """Return the inertia of a tool with its load in the frame of the flange, `tool0` [kg, m].
+
+    Args:
+        mass: Mass [kg].
+        centre: Centre of mass [m].
+    """
     moment = mass * TOOL_GYRATION**2
     return Inertia(mass, (moment, moment, moment), centre)
 

@@ -18,6 +18,9 @@ class ArmPostureInput:
     """Takes the arm's posture from `arm/joint_states`, at most every 40 ms.
 
     While the arm is silent, its last posture holds: its mass does not vanish.
+
+    Args:
+        on_posture: Called with the joint angles (6,) [rad] when they have changed.
     """
 
     def __init__(

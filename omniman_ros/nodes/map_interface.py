@@ -77,7 +77,11 @@ class MapInterface:
             self._keep(self._map, self._placement)
 
     def update(self, robot: PlanarPose) -> None:
-        """Move the map if its frame has moved against odom near the robot."""
+        """Move the map if its frame has moved against odom near the robot.
+
+        Args:
+            robot: Pose of the robot in odom, near which the map has to be right [m, m, rad].
+        """
         if self._grid is None:
             return
         anchor = self._frames.anchor(self._placement.frame).planar()

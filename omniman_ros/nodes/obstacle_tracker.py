@@ -132,6 +132,9 @@ class MapPublisher:
 
     A whole map is sent where the map has moved, for a new reader, and every `WHOLE_PERIOD`; in
     between, if all readers of `map` read `map_updates` too, the rectangle of what has changed.
+
+    Args:
+        rate: Rate [Hz].
     """
 
     def __init__(

@@ -35,6 +35,9 @@ class ScanPublisher:
     """Publishes the scans, and where the scanners are mounted.
 
     A single scanner publishes on `scan`, several on `NAME/scan`.
+
+    Args:
+        state_rate: Number of calls of `publish` in a second [Hz].
     """
 
     def __init__(

@@ -84,6 +84,9 @@ class LocalMap:
 
         It covers parts in base_link. Cells within the distance `around` [m] of it of which nothing
         is known are free, since what is seen there belongs to the robot.
+
+        Args:
+            pose: Pose of the robot in odom [m, m, rad].
         """
         reach = float(parts.radius.max()) + around
         center = np.array(pose[:2])

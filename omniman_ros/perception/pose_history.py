@@ -24,7 +24,12 @@ class PoseHistory:
         self._velocity = np.zeros(3)
 
     def add(self, time: float, pose: Array, velocity: Array) -> None:
-        """Add a pose (3,) at a time, and its rate (3,) in odom, if it is newer."""
+        """Add a pose (3,) at a time, and its rate (3,) in odom, if it is newer.
+
+        Args:
+            pose: x, y, heading [m, m, rad].
+            velocity: Its rate [m/s, m/s, rad/s].
+        """
         x, y, theta = pose.tolist()
         rows = self._rows
         if rows and time <= rows[-1][0]:

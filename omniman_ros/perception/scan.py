@@ -101,6 +101,9 @@ class View:
         """Return the view from where the scanner was at the end of a scan, base_link at `pose`.
 
         The M beams met points (M, 2) in odom [m]; those `known` are not the robot itself.
+
+        Args:
+            pose: Pose of base_link at its end in odom [m, m, rad].
         """
         mount = np.array([scan.mount[:2]])
         origin = placed(mount, np.array([pose]))[0]
@@ -159,7 +162,12 @@ class View:
         return rows, columns, distances < np.minimum(clear, reach)
 
     def sees_through(self, center: Array, radius: float) -> bool | None:
-        """Return whether one looks through a disc in odom; None if it is outside of the view."""
+        """Return whether one looks through a disc in odom; None if it is outside of the view.
+
+        Args:
+            center: (2,) its centre in odom [m].
+            radius: Its radius [m].
+        """
         away = center - self.origin
         distance = float(np.hypot(*away))
         if distance <= radius:

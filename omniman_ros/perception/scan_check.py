@@ -60,7 +60,11 @@ class ScanCheck:
         self._pose: Array = np.zeros(3)
 
     def fault(self, scan: Scan, pose: Array, parameters: ScanCheckParameters) -> str:
-        """Return why a scan at a pose (3,) in odom must not be used, or an empty string."""
+        """Return why a scan at a pose (3,) in odom must not be used, or an empty string.
+
+        Args:
+            pose: (3,) pose of the robot at its end in odom [m, m, rad].
+        """
         ranges = scan.ranges
         with np.errstate(invalid="ignore"):
             is_blind = ~(ranges > 0.0)

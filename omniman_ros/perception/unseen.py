@@ -28,6 +28,9 @@ class UnseenSpace:
     a person was just seen free, or was met by a beam, so that who stands there would be seen; or
     if something stands there, or the robot does. What lies outside of the grid is not seen.
 
+    Args:
+        size: Edge of the grid [m].
+
     Attributes:
         corner: (2,) column and row of the first cell in odom, counted from the origin of odom.
         hidden: (n, n) whether somebody may be there, rows along y.
@@ -67,6 +70,9 @@ class UnseenSpace:
 
         In odom, beams have met the points `met` (M, 2), nobody goes through those of what stands
         (K, 2), and the robot has a pose and is within rectangles.
+
+        Args:
+            own: Pose of the robot in odom [m, m, rad], and rectangles that contain it.
         """
         pose, parts = own
         self._follow(np.array(pose[:2]))

@@ -118,7 +118,11 @@ class GoalTracker:
         limits: EffectiveLimits,
         work: int,
     ) -> None:
-        """Check the route, and search for another up to a work [expansions] if it is not clear."""
+        """Check the route, and search for another up to a work [expansions] if it is not clear.
+
+        Args:
+            pose: (3,) pose of the robot on the motion [m, m, rad].
+        """
         planner = self.route_planner
         if planner is None or self.goal is None:
             return

@@ -32,7 +32,11 @@ class Goal(PlanTarget, Protocol):
     """Goal of the robot: desired poses over time, which may move with their frame."""
 
     def near(self, heading: float, time: float) -> "Goal":
-        """Return the same goal, its heading at a time [s] on the branch nearest to a heading."""
+        """Return the same goal, its heading at a time [s] on the branch nearest to a heading.
+
+        Args:
+            heading: Heading of the robot [rad].
+        """
 
     def displaced(self, frame: PlanarPose) -> "Goal":
         """Return a goal that is given in a frame, by the pose of that frame [m, m, rad]."""

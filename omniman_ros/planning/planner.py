@@ -164,7 +164,12 @@ class Planner:
         self.update_route(measured.time, obstacles, work=0)
 
     def displace_goal(self, change: PlanarPose, now: float, obstacles: Ellipses) -> None:
-        """Move the goal by the displacement of its frame in odom; the motion under way goes on."""
+        """Move the goal by the displacement of its frame in odom; the motion under way goes on.
+
+        Args:
+            change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
+                it moved along.
+        """
         self._tracker.displace(change)
         self.update_route(now, obstacles, work=0)
 

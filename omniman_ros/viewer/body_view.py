@@ -123,6 +123,10 @@ def solids_around(
     """Return what is around the robot: obstacles, and the nearest points of scanners.
 
     Like the cells of a map, the points count at all heights.
+
+    Args:
+        pose: Pose (3,) of base_link in `odom` [m, m, rad].
+        scan: Points (k, 3) in `odom` [m].
     """
     away = np.hypot(*(scan[:, :2] - pose[:2]).T)
     points = scan[np.argsort(away)[:NEAREST_POINTS], :2]

@@ -40,7 +40,12 @@ def map_pixels(occupancy: NDArray[np.int8]) -> tuple[Pixels, int]:
 
 
 def map_image(pixels: Pixels, pixel_size: float, corner: Array) -> MapImage:
-    """Return where an image lies whose first pixel has its outer corner at a pose (3,)."""
+    """Return where an image lies whose first pixel has its outer corner at a pose (3,).
+
+    Args:
+        pixel_size: Edge of a pixel [m].
+        corner: (3,) pose of the first pixel's outer corner in `odom` [m, m, rad].
+    """
     width, height = pixel_size * pixels.shape[1], pixel_size * pixels.shape[0]
     x, y, theta = se2.compose(tuple(corner.tolist()), (0.5 * width, 0.5 * height, 0.0))
     return MapImage(pixels, (width, height), (x, y, theta))

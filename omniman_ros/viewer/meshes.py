@@ -137,6 +137,9 @@ def wheel(radius: float, roller_angle: float) -> WheelShape:
 
     The axis of the roller on the floor points along (cos gamma, sin gamma), gamma = `roller_angle`
     [rad], 0 for an Omni wheel: the wheel drives the motion along this axis (CCTA 2017 (8)).
+
+    Args:
+        radius: Radius r [m].
     """
     core = CORE_RADIUS * radius
     reach = core * math.sin(math.pi / ROLLERS) * OVERLAP

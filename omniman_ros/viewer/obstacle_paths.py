@@ -152,6 +152,10 @@ def converted(home: ObstaclePath, position: Pair, velocity: Pair, wanted: Motion
 
     Way points begin at its position, with this position as the only one. Otherwise it keeps its
     home and its velocity; a turn is one to the left by 90 degrees until another one is entered.
+
+    Args:
+        position: Its position (x, y) [m].
+        velocity: Its velocity (x, y) [m/s].
     """
     if wanted is motion(home):
         return home

@@ -12,6 +12,9 @@ class SignalWindow:
     """The most recent seconds of some signals, sampled at an even rate.
 
     A value that arrives sooner replaces the previous one.
+
+    Args:
+        rate: Sample rate [Hz]; a value that arrives sooner replaces the previous one.
     """
 
     def __init__(self, signals: int, span: float = PLOT_SPAN, rate: float = SAMPLE_RATE) -> None:

@@ -209,7 +209,11 @@ def _wheel_motion(
 
 
 def body_motion(poses: Array, velocities: Array, accelerations: Array) -> tuple[Array, Array]:
-    """Return twists (k, 3) in base_link and their components' derivatives, CCTA 2017 (20)."""
+    """Return twists (k, 3) in base_link and their components' derivatives, CCTA 2017 (20).
+
+    Args:
+        poses: (k, 3) poses in the world [m, m, rad].
+    """
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
 
     def rotated(table: Array) -> Array:

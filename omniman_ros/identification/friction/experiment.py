@@ -60,7 +60,12 @@ class FrictionExperiment:
     # ---- feedback -----------------------------------------------------------------------------
 
     def on_wheels(self, stamp: float, position: Array, velocity: Array, now: float) -> None:
-        """Process a state of the wheels, see :meth:`FeedbackMonitor.on_wheels`."""
+        """Process a state of the wheels, see :meth:`FeedbackMonitor.on_wheels`.
+
+        Args:
+            position: (n,) positions, not wrapped [rad].
+            velocity: (n,) speeds [rad/s].
+        """
         pause = self._monitor.on_wheels(stamp, position, velocity, now)
         if pause > MAX_PAUSE:
             self._disturbance = f"no wheel_states for {pause:.2f} s"

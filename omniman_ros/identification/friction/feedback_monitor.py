@@ -124,7 +124,11 @@ class FeedbackMonitor:
         )
 
     def check(self, level: float, now: float) -> None:
-        """Check that feedback arrives, and that no wheel is too fast or strained."""
+        """Check that feedback arrives, and that no wheel is too fast or strained.
+
+        Args:
+            level: Commanded level [V].
+        """
         for topic, received_at in self._received_at.items():
             if now - received_at > self._plan.feedback_timeout:
                 raise ExperimentError(f"no {topic} for {now - received_at:.2f} s")
@@ -149,6 +153,9 @@ class FeedbackMonitor:
         """Check that all wheels rotate as fast as a constant voltage demands.
 
         Voltages below the check level are not judged: stiction may hold a wheel there.
+
+        Args:
+            level: Commanded level [V].
         """
         if not np.isfinite(self.speed).all() or abs(level) < self._plan.check_level - 1e-9:
             return

@@ -125,7 +125,11 @@ class WheelFriction:
         return torque
 
     def band(self, speeds: Array) -> Array:
-        """Return the half widths (k,) of the 95 % interval of :meth:`torque` [N m]."""
+        """Return the half widths (k,) of the 95 % interval of :meth:`torque` [N m].
+
+        Args:
+            speeds: (k,) speeds other than 0 [rad/s].
+        """
         rows = np.column_stack([speeds, np.sign(speeds)])
         variance = np.einsum("ki,ij,kj->k", rows, self.covariance[:2, :2], rows)
         width: Array = student_95(self.freedom) * np.sqrt(variance)

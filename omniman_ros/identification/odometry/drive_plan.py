@@ -78,6 +78,9 @@ class Speeds:
     def within(cls, limits: TwistLimits, linear: float) -> "Speeds":
         """Combine the speed that the user chose with a yaw rate and a ramp within the limits.
 
+        Args:
+            linear: Largest speed [m/s].
+
         Raises:
             CommandError: The speed is not above 0, or above 70 % of the limit.
         """
@@ -154,7 +157,11 @@ Shape = Callable[[float], tuple[Triple, Triple, Triple]]
 
 
 class Motion:
-    """A drive along a path, which is in the frame of a start in odom, from rest to rest."""
+    """A drive along a path, which is in the frame of a start in odom, from rest to rest.
+
+    Args:
+        start: Pose of this frame in odom [m, m, rad].
+    """
 
     def __init__(self, shape: Shape, start: Triple, speeds: Speeds) -> None:
         self._shape = shape
@@ -210,7 +217,12 @@ def check_shape(reach: float) -> Shape:
 
 
 def displacement_to(pose: Triple, heading: float, corner: str, reach: float) -> Triple:
-    """Return the way from a pose to a corner and a heading, in the pose's frame [m, m, rad]."""
+    """Return the way from a pose to a corner and a heading, in the pose's frame [m, m, rad].
+
+    Args:
+        heading: Heading to arrive with [rad].
+        reach: See :func:`max_reach` [m].
+    """
     x, y = CORNERS[corner]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = reach * x - pose[0], reach * y - pose[1]

@@ -33,7 +33,11 @@ MAX_CANCELLED_RUNS = 3  #: Number of runs that may be cancelled before their end
 
 
 class OdometryExperiment:
-    """Drives runs, and collects them with the measured poses."""
+    """Drives runs, and collects them with the measured poses.
+
+    Args:
+        reach: Distance of base_link from the middle to a side of the square [m].
+    """
 
     def __init__(
         self,
@@ -131,7 +135,11 @@ class OdometryExperiment:
 
 
 def expected_duration(run_count: int, reach: float, speeds: Speeds) -> float:
-    """Return the approximate duration of the runs and the check [s]."""
+    """Return the approximate duration of the runs and the check [s].
+
+    Args:
+        reach: Distance of base_link from the middle to a side of the square [m].
+    """
     origin = (0.0, 0.0, 0.0)
     side = Motion(straight_shape((2.0 * reach, 0.0, 0.0)), origin, speeds).duration
     rotation = Motion(straight_shape((0.0, 0.0, math.pi)), origin, speeds).duration

@@ -58,7 +58,12 @@ def _parse_number(word: str) -> float:
 
 
 def describe_deviation(typed: Triple, expected: Triple) -> str:
-    """Describe the deviation of a typed pose from the odometry's; empty if it is small."""
+    """Describe the deviation of a typed pose from the odometry's; empty if it is small.
+
+    Args:
+        typed: Pose that the user typed [m, m, rad].
+        expected: Pose by the odometry [m, m, rad].
+    """
     distance = math.hypot(typed[0] - expected[0], typed[1] - expected[1])
     angle = abs(math.remainder(typed[2] - expected[2], math.tau))
     if distance <= MAX_POSITION_DEVIATION and angle <= MAX_HEADING_DEVIATION:

@@ -53,7 +53,11 @@ class OdometryRecord:
 
 
 def without_standstill(times: Array, positions: Array) -> tuple[Array, Array]:
-    """Remove rows in which no wheel has moved since the row before; the last row stays."""
+    """Remove rows in which no wheel has moved since the row before; the last row stays.
+
+    Args:
+        positions: (k, n) wheel positions [rad].
+    """
     keep = np.ones(len(positions), dtype=bool)
     keep[1:] = (np.diff(positions, axis=0) != 0.0).any(axis=1)
     keep[-1] = True

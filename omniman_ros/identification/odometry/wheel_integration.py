@@ -58,7 +58,12 @@ def integrate(forward: Array, positions: Array, start: Pose = (0.0, 0.0, 0.0)) -
 
 
 def compose(first: Array, second: Array) -> Array:
-    """Return the pose (3,) whose coordinates in the frame of `first` are `second`, not wrapped."""
+    """Return the pose (3,) whose coordinates in the frame of `first` are `second`, not wrapped.
+
+    Args:
+        first: (3,) pose in the outer frame [m, m, rad].
+        second: (3,) pose in the frame of `first` [m, m, rad].
+    """
     c, s = math.cos(first[2]), math.sin(first[2])
     x, y, theta = second.tolist()
     pose: Array = first + np.array([c * x - s * y, s * x + c * y, theta])

@@ -21,6 +21,10 @@ class SpeedBound:
         """Return the largest pace, 0 to 1, at which platform and arm keep to their shares.
 
         The velocities (k, 9) of platform and joints are those at full pace [m/s, rad/s].
+
+        Args:
+            velocities: Velocities (k, 9) of platform and joints at full pace [m/s, m/s, rad/s,
+                rad/s ...].
         """
         v = np.abs(velocities)
         linear = float(np.hypot(v[:, 0], v[:, 1]).max())

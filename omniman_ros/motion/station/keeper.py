@@ -225,7 +225,11 @@ class StationKeeper:
         self.state, self.reason = StationState.IDLE, reason
 
     def update(self, pose: Triple, time: float, now: float) -> None:
-        """Update error and state with a pose that was measured at `time` [s]."""
+        """Update error and state with a pose that was measured at `time` [s].
+
+        Args:
+            pose: Measured pose of the robot in odom [m, m, rad].
+        """
         if self._leader is not None:
             self.error = _difference(pose, self._leader.station(self.offset, time)[0])
         if self.state is StationState.BRAKING:

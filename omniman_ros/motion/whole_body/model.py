@@ -62,7 +62,11 @@ class WholeBodyModel:
         self._base_inverse: Array = np.array(np.linalg.inv(self._base), dtype=np.float64)
 
     def base(self, platform: Array) -> Array:
-        """Return the pose (..., 4, 4) of the base of the DH table in odom."""
+        """Return the pose (..., 4, 4) of the base of the DH table in odom.
+
+        Args:
+            platform: Poses (..., 3) of base_link in odom [m, m, rad].
+        """
         result: Array = planar_transform(platform) @ self._base
         return result
 
@@ -101,6 +105,7 @@ class WholeBodyModel:
         """Return poses (k, 4, 4) of `tool0` in the base of the DH table.
 
         Args:
+            platform: Poses (k, 3) of base_link in odom [m, m, rad].
             tool: Poses (k, 4, 4) of `tool0` in odom.
         """
         shifted = tool.copy()
@@ -117,6 +122,7 @@ class WholeBodyModel:
         """Return joint angles (k, 6) [rad] for poses of the tool; NaN where it cannot be reached.
 
         Args:
+            platform: Poses (k, 3) of base_link in odom [m, m, rad].
             tool: Poses (k, 4, 4) of `tool0` in odom.
             branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
             near: Angles (6,) or (k, 6) [rad]; each result is within half a revolution of them.

@@ -56,7 +56,11 @@ class CorrectedStretch:
 
 
 class ToolStream:
-    """A planned tool path whose joint angles are corrected for the platform's error."""
+    """A planned tool path whose joint angles are corrected for the platform's error.
+
+    Args:
+        velocity: (6,) limits of the joint speeds [rad/s].
+    """
 
     def __init__(
         self,
@@ -95,7 +99,11 @@ class ToolStream:
         return replace(planned, positions=positions)
 
     def correct(self, time: float, pose: Array, reference: Array) -> str:
-        """Correct the arm for a measured and a planned pose (3,); return any excessive error."""
+        """Correct the arm for a measured and a planned pose (3,); return any excessive error.
+
+        Args:
+            pose: (3,) measured pose of the platform in odom [m, m, rad].
+        """
         self.correction.update(time, pose, reference)
         if self.correction.error_ratio <= 1.0:
             return ""

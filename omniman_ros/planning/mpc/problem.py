@@ -281,6 +281,9 @@ def farthest_points(headings: Array, outline: Rectangles) -> Array:
     """Return points (N, 8, 2) in base_link, the farthest towards the workspace's sides [m].
 
     There are two for each of x_min, x_max, y_min and y_max at headings (N,) in odom.
+
+    Args:
+        headings: (N,) headings of the robot in odom [rad].
     """
     corners = outline.corners.reshape(-1, 2)
     c, s = np.cos(headings)[:, None], np.sin(headings)[:, None]

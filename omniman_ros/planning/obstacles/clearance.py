@@ -50,6 +50,9 @@ class Clearance:
 
         They are those of `box_gap`, not above zero where the robot touches an obstacle or the
         edge.
+
+        Args:
+            poses: (K, 3) poses in odom [m, m, rad].
         """
         result: Array = -outside_by(poses, self._whole, self._workspace)
         if not len(self._around):

@@ -28,6 +28,9 @@ class Environment:
         """Return the gaps (K,) to obstacles, workspace and map at poses (K, 3) in odom [m].
 
         Those above `reach` [m] need not be distinguished.
+
+        Args:
+            poses: (K, 3) poses of base_link in odom [m, m, rad].
         """
         clearance = Clearance(self.footprint, self.ellipses, self.workspace, reach)
         result: Array = np.minimum(

@@ -61,7 +61,11 @@ class FramedObstacles:
             obstacles.delete_all(namespace)
 
     def ellipses(self, now: float, anchor: Callable[[str], PlanarPose]) -> Ellipses:
-        """Return the obstacles at a time [s] in odom, in the order of `keys`."""
+        """Return the obstacles at a time [s] in odom, in the order of `keys`.
+
+        Args:
+            anchor: Returns the pose of a frame in odom [m, m, rad].
+        """
         result = self._sets[ODOM].ellipses(now)
         for frame, obstacles in self._sets.items():
             if frame != ODOM and len(obstacles):

@@ -63,7 +63,7 @@ class GridMap:
     def of_occupancy(
         occupancy: OccupancyMap, threshold: int = 50, unknown_is_free: bool = True
     ) -> "GridMap":
-        """Create a map from occupancies, occupied from a threshold of 1 to 100 % on.
+        """Create a map from occupancies of 0 to 100 % (-1: unknown), occupied from a threshold on.
 
         Raises:
             InputError: A value or the threshold is out of range; see also the class.

@@ -193,6 +193,9 @@ def outside_by(poses: Array, boxes: Rectangles, workspace: Workspace) -> Array:
     MPC 2021 (29) and (30), the latter corrected: distance of the farthest corner beyond a side or,
     negative, distance of all corners from the nearest side inside; inf for a pose that is not
     finite.
+
+    Args:
+        poses: (K, 3) poses of base_link in odom [m, m, rad].
     """
     with np.errstate(invalid="ignore"):
         low, high = np.array(workspace[:2]), np.array(workspace[2:])

@@ -49,6 +49,9 @@ class Walls:
 
         They are negative by the depth to which a disc enters a box, and -inf where one of the
         poses (K, 3) in odom is not finite.
+
+        Args:
+            poses: (K, 3) poses of base_link in odom [m, m, rad].
         """
         finite = np.isfinite(poses).all(axis=1)
         result = np.where(finite, REACH, -math.inf)
@@ -116,6 +119,11 @@ class Walls:
         The distance changes by no more than L, the largest travel of any point of a box: between
         two samples it is (g0 + g1 - L) / 2 or more. Times increase; between two samples no speed
         is above those at both of them.
+
+        Args:
+            poses: (K, 3) poses of base_link in odom [m, m, rad].
+            velocities: (K, 3) velocities in odom [m/s, m/s, rad/s]; between two samples no speed
+                is above those at both of them.
         """
         gaps = self.gaps(poses, boxes)
         speed = np.hypot(velocities[:, 0], velocities[:, 1])

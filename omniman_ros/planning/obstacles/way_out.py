@@ -98,6 +98,9 @@ class WayOut:
         """Return the time from which on a motion is not on this way; infinity if it stays on it.
 
         The first of the poses (K, 3) is allowed.
+
+        Args:
+            poses: (K, 3) poses in odom, the first of which is allowed [m, m, rad].
         """
         direction = (self.end[:2] - self.start[:2]) / max(self._length, STEP)
         x, y = (poses[:, :2] - self.start[:2]).T

@@ -42,6 +42,9 @@ def straight(
     """Return poses (K, 3) along a straight line, in the heading that requires the least energy.
 
     The goal's heading is on the branch of arrival; speeds are in m/s and rad/s.
+
+    Args:
+        speeds: Linear [m/s] and angular [rad/s] speed along the line.
     """
     heading = _cruise(model, start, goal, speeds)
     if heading is None:

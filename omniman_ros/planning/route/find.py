@@ -208,7 +208,11 @@ def _shorter(angles: Array) -> Array:
 def cost_to_go(
     lattice: Lattice, marks: HeadingOccupancy, speed: float
 ) -> Generator[int, None, Single]:
-    """Return the least costs (nodes,) to the goal's position with any heading, or infinity [s]."""
+    """Return the least costs (nodes,) to the goal's position with any heading, or infinity [s].
+
+    Args:
+        speed: Largest linear speed [m/s].
+    """
     words, full, size = marks.words, marks.full, lattice.region.size
     factor = np.full(size, FACTORS[0])
     cost = np.full(size, np.inf, dtype=np.float32)

@@ -84,6 +84,9 @@ class Route:
         near positions counts. Only a window before and after the last position `near` is searched,
         so that the result does not jump if the route passes again, or behind a wall. None means
         the whole route.
+
+        Args:
+            pose: (3,) pose in odom [m, m, rad]; its heading may be on any branch.
         """
         first, last = 0.0, self.duration
         if near is not None:

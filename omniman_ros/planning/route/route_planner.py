@@ -228,6 +228,9 @@ class RoutePlanner:
         """Check the rest of the route periodically, and search for another if it is not clear.
 
         The heading of the pose is on the branch of the motion; the work is limited [expansions].
+
+        Args:
+            pose: (3,) pose of the robot, its heading on the branch of the motion [m, m, rad].
         """
         progresses = self._position > self._progress[1] + STUCK_PROGRESS
         if progresses or now > self._updated + CHECK_PERIOD:

@@ -73,6 +73,8 @@ def roller_directions(
 
     Args:
         x, y: Contact, relative to the point whose twist is used, in the chassis frame [m].
+        heading: Rolling direction of the wheel in the chassis frame [rad].
+        roller_angle: Angle from the wheel's rolling direction to the roller's axis [rad].
 
     Returns:
         The direction along the roller's axis, and the one across it, 90 degrees further.

@@ -124,7 +124,11 @@ class DriveUnit:
     def command_velocity(
         self, velocity: float, torque: float, measured: float, current: float
     ) -> None:
-        """Set a velocity [rad/s] and a feed-forward torque [N m]; enter the mode as measured."""
+        """Set a velocity [rad/s] and a feed-forward torque [N m]; enter the mode as measured.
+
+        Args:
+            current: Measured current, from which the mode is entered [A].
+        """
         if self.mode is not DriveUnitMode.VELOCITY:
             self._enter_velocity(measured, current, torque)
         elif self._is_halted:
@@ -173,7 +177,12 @@ class DriveUnit:
         self._ramp = self._settings.firmware.acceleration
 
     def update(self, velocity: float, current: float) -> float:
-        """Return the voltage to apply to the motor until the next run [V], as measured."""
+        """Return the voltage to apply to the motor until the next run [V], as measured.
+
+        Args:
+            velocity: Measured velocity [rad/s].
+            current: Measured current [A].
+        """
         if self.mode is DriveUnitMode.OFF:
             # The terminals have the back-EMF, at which the next mode begins.
             self.voltage = self._settings.back_emf * velocity

@@ -49,7 +49,11 @@ def planar_motion(twist: Array) -> BaseMotion:
 
 
 class SimulatedImu:
-    """Measures the present rate, and the mean acceleration since the last measurement."""
+    """Measures the present rate, and the mean acceleration since the last measurement.
+
+    Args:
+        gravity: Gravity [m/s^2].
+    """
 
     def __init__(
         self, mount: ImuMount, parameters: ImuSensorParameters, gravity: float, seed: int = 0

@@ -122,7 +122,11 @@ class Plant:
         )
 
     def set_pose(self, pose: Sequence[float] | NDArray[np.float64]) -> None:
-        """Set the pose (3,) [m, m, rad]; the velocities in the robot's frame stay as they are."""
+        """Set the pose (3,) [m, m, rad]; the velocities in the robot's frame stay as they are.
+
+        Args:
+            pose: Pose (x, y, heading) of base_link in the world [m], [rad], shape (3,).
+        """
         x, y, heading = (float(value) for value in pose)
         rotation = heading - self._heading
         vx, vy = self._velocity
@@ -148,6 +152,9 @@ class Plant:
         """Set the twist (3,) of base_link [m/s, rad/s]; the wheel speeds stay as they are.
 
         Unless `external` is false, the change of energy counts as external work.
+
+        Args:
+            twist: Twist of base_link in its own frame [m/s], [rad/s], shape (3,).
         """
         last_kinetic = self.kinetic
         vx, vy, w = (float(value) for value in twist)

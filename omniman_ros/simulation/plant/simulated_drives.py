@@ -179,7 +179,11 @@ class SimulatedDrives:
         return self._wheels.ground_truth()
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Set the pose (3,) in the world [m, m, rad]; the motion in its own frame continues."""
+        """Set the pose (3,) in the world [m, m, rad]; the motion in its own frame continues.
+
+        Args:
+            pose: Pose (x, y, heading) of base_link [m], [rad], shape (3,).
+        """
         self._wheels.set_pose(pose)
 
     @property

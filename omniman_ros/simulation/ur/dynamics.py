@@ -24,6 +24,9 @@ class ArmDynamics:
     rotor has an inertia along the axis of its joint alone.
     Source of the algorithm: J. Y. S. Luh, M. W. Walker, R. P. C. Paul, "On-Line Computational
     Scheme for Mechanical Manipulators" (1980).
+
+    Args:
+        payload: Mass of tool and load that the controller reckons with [kg].
     """
 
     def __init__(self, payload: float) -> None:
@@ -36,7 +39,12 @@ class ArmDynamics:
         self._bodies = bodies
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torques (6,) [N m] of angles [rad] and their derivatives, no friction."""
+        """Return the torques (6,) [N m] of angles [rad] and their derivatives, no friction.
+
+        Args:
+            qd: Speeds (6,) [rad/s].
+            qdd: Accelerations (6,) [rad/s^2].
+        """
         turns, forces, moments = [], [], []
         rate, rate_change = np.zeros(3), np.zeros(3)
         acceleration = np.array([0.0, 0.0, GRAVITY])
@@ -67,7 +75,11 @@ class ArmDynamics:
 
 
 def motor_torque(joint_torque: Array, qd: Array) -> Array:
-    """Return what the motors give for torques of the joints (6,) [N m]: these, and friction."""
+    """Return what the motors give for torques of the joints (6,) [N m]: these, and friction.
+
+    Args:
+        qd: Speeds of the joints (6,) [rad/s].
+    """
     return joint_torque + FRICTION * qd
 
 

@@ -73,7 +73,12 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def twist(q: Array, qd: Array, link: int = 6) -> Array:
-    """Return the twist (6,) of frame `link` in the base [m/s, rad/s]; 6 is the tool flange."""
+    """Return the twist (6,) of frame `link` in the base [m/s, rad/s]; 6 is the tool flange.
+
+    Args:
+        q: Joint angles [rad].
+        qd: Joint speeds [rad/s].
+    """
     chain = frames(q)
     point, result = chain[link][:3, 3], np.zeros(6)
     for frame, speed in zip(chain[:link], qd.tolist(), strict=False):

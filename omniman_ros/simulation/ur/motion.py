@@ -69,6 +69,7 @@ class ServoJ:
     the target lags by the lookahead time.
 
     Args:
+        q: Angles [rad].
         gain: Stiffness of the spring per inertia [1/s^2].
 
     Attributes:

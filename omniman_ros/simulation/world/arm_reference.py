@@ -42,6 +42,9 @@ class ArmReference:
     Between two setpoints, each angle is a cubic polynomial of time. Where the acceleration is
     constant from one setpoint to the next, so is the reference's. Without a next setpoint, the
     joints keep their speeds for :data:`COASTING_TIME`, and then brake on their path.
+
+    Args:
+        positions: Angles (6,) [rad].
     """
 
     def __init__(self, positions: Array) -> None:

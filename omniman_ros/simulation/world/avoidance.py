@@ -58,6 +58,7 @@ def half_planes(
     that are not too near permit a velocity of zero.
 
     Args:
+        position: Position of the person in the world, (2,) [m].
         wish: Velocity that the person would have if there were nothing around, (2,) [m/s].
     """
     heights = around.outlines - DIRECTIONS @ position + around.reaches[:, None]

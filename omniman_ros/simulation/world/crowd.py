@@ -22,6 +22,9 @@ class Crowd:
 
     A scripted person gives way to nobody. A reactive one keeps clear of what is around by
     :mod:`~omniman_ros.simulation.world.avoidance`, and waits where that permits no way.
+
+    Args:
+        force: Largest force of a person [N].
     """
 
     def __init__(self, engine: Engine, scene: Scene, force: float) -> None:

@@ -56,7 +56,13 @@ class PostureDistances:
             self._robot = [k for k in self._robot if k not in cover - set(platform)]
 
     def place(self, pose: Array, posture: Array, places: Array) -> None:
-        """Place the robot at a pose (3,) and a posture (6,), and the prisms at (M, 2) [m, rad]."""
+        """Place the robot at a pose (3,) and a posture (6,), and the prisms at (M, 2) [m, rad].
+
+        Args:
+            pose: (3,) pose of base_link [m, m, rad].
+            posture: (6,) joint angles of the arm [rad].
+            places: (M, 2) centres of the prisms [m].
+        """
         base = self._model.body("base_link")
         base.pos[:2] = pose[:2]
         base.quat[:] = math.cos(0.5 * pose[2]), 0.0, 0.0, math.sin(0.5 * pose[2])

@@ -197,7 +197,11 @@ class Engine:
         return contact.pos[k], contact.frame[k].reshape(3, 3)
 
     def velocity(self, shape: int, place: Array) -> Array:
-        """Return the velocity (3,) [m/s] of a point of a shape's body as the step begins."""
+        """Return the velocity (3,) [m/s] of a point of a shape's body as the step begins.
+
+        Args:
+            place: The point in the world, (3,) [m].
+        """
         body, motion = int(self._model.geom_bodyid[shape]), np.empty(6)
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, motion, 0

@@ -55,7 +55,11 @@ Solid = Box | Cylinder | EllipticPrism  #: Convex part of an element
 
 
 def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:
-    """Return `SIDES` corners (k, 2) on an ellipse around the origin [m]."""
+    """Return `SIDES` corners (k, 2) on an ellipse around the origin [m].
+
+    Args:
+        yaw: Direction of the first axis [rad].
+    """
     turn = np.arange(SIDES) * (math.tau / SIDES)
     u, v = semi_axes[0] * np.cos(turn), semi_axes[1] * np.sin(turn)
     c, s = math.cos(yaw), math.sin(yaw)

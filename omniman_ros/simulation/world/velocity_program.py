@@ -24,6 +24,8 @@ def nearest_velocity(
     hard ones alone permit none, all are soft.
 
     Args:
+        wanted: Wanted velocity (x, y) [m/s].
+        limit: Largest speed [m/s].
         hard: Half-planes that are kept at any rate.
         soft: Half-planes that may be violated if it has to be.
     """

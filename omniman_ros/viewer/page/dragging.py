@@ -97,6 +97,9 @@ class FloorDragging:
     """Lets objects of the scene be dragged over the floor, by all browsers.
 
     All callbacks run in the server's thread, in the order in which the browsers sent the events.
+
+    Args:
+        floor: Returns the position of the floor's origin in the world of the cameras [m].
     """
 
     def __init__(self, server: viser.ViserServer, floor: Callable[[], Pair], post: Post) -> None:

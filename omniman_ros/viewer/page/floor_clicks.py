@@ -11,6 +11,9 @@ class FloorClicks:
     """Reports where the floor is clicked in any browser, while there is a listener.
 
     A drag on the floor, which turns the camera, is no click.
+
+    Args:
+        floor: Returns the position of the floor's origin in the world of the cameras [m].
     """
 
     def __init__(self, api: viser.SceneApi, floor: Callable[[], Pair]) -> None:

@@ -61,7 +61,11 @@ _LAYER_LABELS = {
 
 
 class Controls:
-    """Stop and Reset at the top, the motion buttons below them, then tabs with the rest."""
+    """Stop and Reset at the top, the motion buttons below them, then tabs with the rest.
+
+    Args:
+        limits: Largest speed [m/s] and yaw rate [rad/s] of the sliders.
+    """
 
     def __init__(
         self,

@@ -20,7 +20,11 @@ Signal = tuple[str, str, bool]  #: Name and colour of a curve, and whether it is
 
 
 class Plots:
-    """All plots of the page."""
+    """All plots of the page.
+
+    Args:
+        max_voltage: Largest voltage of the wheels' amplifiers [V].
+    """
 
     def __init__(
         self,

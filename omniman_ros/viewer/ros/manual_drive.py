@@ -25,7 +25,11 @@ class ManualDrive:
         self._stepped_at = node.now()
 
     def step(self, speeds: tuple[float, float], now: float) -> None:
-        """Publish the twist of the held buttons, of speeds [m/s, rad/s]; call this each period."""
+        """Publish the twist of the held buttons, of speeds [m/s, rad/s]; call this each period.
+
+        Args:
+            speeds: Speed [m/s] and yaw rate [rad/s] of a button.
+        """
         if now - self._stepped_at > DEAD_MAN_TIMEOUT:
             # Buttons held while this node was not running may have been released long ago.
             self.buttons.release_all()

@@ -64,7 +64,11 @@ class Tyres:
 
 
 def tyres_of(robot: Robot, mass: float, plant: PlantParameters, stiffness: float) -> Tyres:
-    """Return the contact of a robot's tyres; its mass [kg] includes arm and loads."""
+    """Return the contact of a robot's tyres; its mass [kg] includes arm and loads.
+
+    Args:
+        stiffness: Stiffness of a tyre [N/m].
+    """
     return Tyres(stiffness, mass / robot.wheel_count, robot.friction.mu, plant.slip_velocity)
 
 

@@ -32,7 +32,11 @@ def add_platform(
     tyres: Tyres,
     parameters: WorldParameters,
 ) -> Element:
-    """Add the platform; return its body, whose frame is base_link."""
+    """Add the platform; return its body, whose frame is base_link.
+
+    Args:
+        mount: Height of the arm's base above the floor [m]; None if there is no arm.
+    """
     base = add(world, "body", name=BASE)
     add(base, "freejoint", name=BASE)
     boxes, masses = platform_boxes(robot, mount), wheel_masses(robot)

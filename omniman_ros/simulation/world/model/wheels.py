@@ -147,6 +147,9 @@ def roller_half_length(radius: float, middle: float, angle: float, count: int) -
 
     It is such that the roller reaches exactly as deep as the wheel's radius both when it is at the
     wheel's bottom and when it hands over to the next roller.
+
+    Args:
+        angle: Angle from the wheel's rolling direction to the roller's axis [rad].
     """
     turn = math.pi / count
     depth = radius - (radius - middle) * math.cos(turn)
