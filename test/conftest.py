@@ -42,8 +42,7 @@ COMMANDS = tuple(
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-NICENESS = 5
-"""Niceness of all workers but the first, which begins with what runs on real time."""
+NICENESS = 5  #: Niceness of all workers but the first, which begins with what runs on real time
 
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
@@ -104,7 +103,7 @@ def problems_built_once():
     from test import transcriptions
 
     with pytest.MonkeyPatch.context() as patch:
-        transcriptions.share(patch)
+        transcriptions.fraction(patch)
         yield
 
 

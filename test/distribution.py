@@ -10,8 +10,7 @@ import os
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-FIRST = "gw0"
-"""Name of the worker that begins with the tests with processes."""
+FIRST = "gw0"  #: Name of the worker that begins with the tests with processes
 
 
 def worker_count() -> int:

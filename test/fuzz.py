@@ -2,8 +2,8 @@
 
 import os
 
+#: Environment variable with the number of examples of each fuzz test that is run
 VARIABLE = "OMNIMAN_FUZZ"
-"""Environment variable with the number of examples of each fuzz test that is run."""
 
 
 def examples(suite: int) -> int:

@@ -21,16 +21,11 @@ from omniman_ros.console.session import Session
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 
-PERIOD = 0.05
-"""Period of the twists [s]."""
+PERIOD = 0.05  #: Period of the twists [s]
 
 
 class Observer:
-    """Publishes and prints.
-
-    Args:
-        session: ROS session of the process.
-    """
+    """Publishes and prints."""
 
     def __init__(self, session: Session) -> None:
         node = session.node

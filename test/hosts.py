@@ -17,15 +17,13 @@ from test.running import PATIENCE
 
 ROBOT_ADDRESS, DESK_ADDRESS = "10.77.0.1", "10.77.0.2"
 """Addresses of the two hosts."""
-CABLE = "lan"
-"""Name of the network interface of each host."""
-REST = 0.005
-"""Speed below which the robot counts as standing [m/s]."""
+CABLE = "lan"  #: Name of the network interface of each host
+REST = 0.005  #: Speed below which the robot counts as standing [m/s]
 _ROUTE = f"route add 224.0.0.0/4 dev {CABLE}"
 _ALONE = ("unshare", "--net", "--mount", "--propagation", "private")
 _AS_ROOT = ("--user", "--map-root-user")
+#: Script that keeps a host: shared memory of another host must not be found
 _KEEP = "mount -t tmpfs none /dev/shm && ip link set lo up && echo ready && exec sleep 86400"
-"""Script that keeps a host: shared memory of another host must not be found."""
 
 
 def _is_root() -> bool:
@@ -84,8 +82,6 @@ class Cable:
 
     Args:
         robot: Host at which nothing changes when the cable is pulled, but that nobody answers.
-        desk: The other host.
-        multicast: Whether the network passes multicast on.
     """
 
     def __init__(self, robot: Host, desk: Host, multicast: bool) -> None:

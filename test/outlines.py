@@ -13,8 +13,7 @@ OCTAGON = [
     (-0.5, -0.2),
     (-0.35, -0.35),
     (0.35, -0.35),
-]
-"""A rectangle without corners."""
+]  #: A rectangle without corners
 FORKS = [
     (-0.5, -0.35),
     (0.5, -0.35),
@@ -24,8 +23,7 @@ FORKS = [
     (0.5, 0.15),
     (0.5, 0.35),
     (-0.5, 0.35),
-]
-"""A U that is open to the front; its left fork and its back are in line."""
+]  #: A U that is open to the front; its left fork and its back are in line
 HAND_MADE = {
     "octagon": (OCTAGON, [OCTAGON]),
     "forks": (
@@ -36,8 +34,7 @@ HAND_MADE = {
             [(0.0, 0.1), (0.5, 0.15), (0.5, 0.35), (0.0, 0.35)],
         ],
     ),
-}
-"""Outlines, each with its convex pieces."""
+}  #: Outlines, each with its convex pieces
 
 
 def outlined(outline, name="omniman"):

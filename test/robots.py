@@ -20,8 +20,7 @@ CONFIG = Path(__file__).resolve().parent / "config"
 
 SHIPPED = ("omniman", "ig42")
 TESTED = ("omni3", "mecanum6", "skewed4", "mecanum8")
-ALL = SHIPPED + TESTED
-"""Names of all robots: n = 4, 4, 3, 6, 4 and 8 wheels."""
+ALL = SHIPPED + TESTED  #: Names of all robots: n = 4, 4, 3, 6, 4 and 8 wheels
 
 
 def path(name: str) -> str:

@@ -21,11 +21,11 @@ from types import ModuleType
 
 import pytest
 
+#: Folder with a folder for each package: fields in their order and constants, which are what
+#: publishers and subscribers, clients and servers must agree on.
 DEFINITIONS = Path(__file__).with_name("interfaces")
-"""Folder with a folder for each package: fields in their order and constants, which are what
-publishers and subscribers, clients and servers must agree on."""
+#: Type supports, each a library of its own that is found by its name
 KINDS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
-"""Type supports, each a library of its own that is found by its name."""
 DEPENDENCIES = (
     "action_msgs",
     "builtin_interfaces",
@@ -52,11 +52,10 @@ import pathlib
 
 for library in sorted(pathlib.Path(__file__).parent.glob("lib*.so")):
     ctypes.CDLL(str(library))
-"""
-"""The package's __init__: libraries that are loaded need not be looked for."""
+"""  #: The package's __init__: libraries that are loaded need not be looked for
 
+#: Modules of each package that was imported, by their names
 _modules: dict[str, dict[str, ModuleType]] = {}
-"""Modules of each package that was imported, by their names."""
 
 
 def folder(package: str) -> Path | None:

@@ -13,10 +13,9 @@ from omniman_ros.processes.arm_options import UR_PORTS
 from omniman_ros.processes.free_ports import find_free_ports
 from omniman_ros.processes.ros_domain import free_domain
 
-PATIENCE = 60.0
-"""Time after which a test gives up waiting [s]."""
+PATIENCE = 60.0  #: Time after which a test gives up waiting [s]
+#: Options of a robot on a machine that may stand still for a moment, as virtual ones do
 PATIENT = ("-p", "timeouts.wheel_states:=2.0")
-"""Options of a robot on a machine that may stand still for a moment, as virtual ones do."""
 
 
 def environment(domain: int | None = None) -> dict[str, str]:

@@ -11,13 +11,11 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-FOLDER = Path("/dev/shm")
-"""Where Linux keeps shared memory."""
+FOLDER = Path("/dev/shm")  #: Where Linux keeps shared memory
+#: Age of a lock from which it counts as left behind if nobody holds it [s]: a participant that
+#: starts makes the file first, and locks it then.
 MIN_AGE = 60.0
-"""Age of a lock from which it counts as left behind if nobody holds it [s]: a participant that
-starts makes the file first, and locks it then."""
-SUFFIXES = ("_el", "_sl")
-"""Ends of the names of the locks: exclusive and shared."""
+SUFFIXES = ("_el", "_sl")  #: Ends of the names of the locks: exclusive and shared
 
 
 def remove_abandoned(folder: Path = FOLDER, min_age: float = MIN_AGE) -> int:

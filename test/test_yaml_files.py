@@ -63,12 +63,9 @@ SCALARS = {
     "&anchor 2": 2,
     "[12e-3, 1e3]": [0.012, 1000.0],
     "[yes, no]": [True, False],
-}
-"""Values of parameters: text and meaning."""
-TEXT = "/**:\n  ros__parameters:\n    a: {b: 1}\n    c: grün\n"
-"""Content of a parameter file."""
-HEAD = "/**:\n  ros__parameters:\n"
-"""Beginning of a parameter file."""
+}  #: Values of parameters: text and meaning
+TEXT = "/**:\n  ros__parameters:\n    a: {b: 1}\n    c: grün\n"  #: Content of a parameter file
+HEAD = "/**:\n  ros__parameters:\n"  #: Beginning of a parameter file
 TAKEN = {
     "": {},
     "# nothing": {},
@@ -84,8 +81,7 @@ TAKEN = {
     "other:\n  ros__parameters: {a: 2}": {},
     "/ns/reader:\n  ros__parameters: {a: 2}": {},
     "/*:\n  ros__parameters: {a: 2}": {"a": 2},
-}
-"""Files that are taken, and what the node `reader` gets."""
+}  #: Files that are taken, and what the node `reader` gets
 REFUSED = {
     HEAD + "    a: [1, 2.5]": (3, "'a' mixes types, .*: 1 is an integer, 2.5 a double"),
     HEAD + "    a: [x, 1]": (3, "'x' is a text, 1 an integer"),
@@ -100,8 +96,7 @@ REFUSED = {
     "a: 1": (1, "has no '/\\*\\*: ros__parameters:' with values"),
     "/**:\n  ros__parameters:": (2, "has no '/\\*\\*: ros__parameters:' with values"),
     "- 1": (1, "has no '/\\*\\*: ros__parameters:' with values"),
-}
-"""Files that are refused: line and reason."""
+}  #: Files that are refused: line and reason
 
 
 def by_rcl(path: Path) -> dict[str, Parameter]:

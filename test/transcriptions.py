@@ -11,7 +11,7 @@ from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import Transcription
 
 
-def share(patch: pytest.MonkeyPatch) -> None:
+def fraction(patch: pytest.MonkeyPatch) -> None:
     """Have planners of the same robot and horizon use the same problems.
 
     The problems of a planner take a second of CPU time to build, and are functions without state;

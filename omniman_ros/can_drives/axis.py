@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 
 
@@ -46,7 +46,7 @@ class Receipt(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
+class DriveSetpoint:
     """Setpoint of a drive, at the motor's shaft."""
 
     mode: DriveMode  #: Velocity, torque or voltage; voltage only where the axis supports it
@@ -54,7 +54,7 @@ class Setpoint:
     feedforward: float = 0.0  #: Feed-forward torque that goes with a velocity [N m]
 
 
-REST = Setpoint(DriveMode.VELOCITY, 0.0)  #: Setpoint of zero velocity
+REST = DriveSetpoint(DriveMode.VELOCITY, 0.0)  #: Setpoint of zero velocity
 
 
 @dataclass(slots=True)
@@ -127,10 +127,10 @@ class Axis(Protocol):
         A drive that has restarted (OFFLINE) is configured again. Nothing moves.
         """
 
-    def receive(self, frame: Frame, now: float) -> Receipt:
+    def receive(self, frame: CanFrame, now: float) -> Receipt:
         """Process a frame from the bus; never raise an error, whatever the frame contains."""
 
-    def tick(self, demand: Demand, setpoint: Setpoint, now: float) -> list[Frame]:
+    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
         """Return the frames for this drive: once per period, and once more when a stop begins.
 
         Unless the drive is ENABLED the frames carry no motion (velocity zero), whatever the

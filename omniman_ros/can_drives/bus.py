@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import can
 
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.reception import enlarge_receive_buffer, is_invalid_frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import OmnimanError
@@ -32,13 +32,13 @@ class Bus(Protocol):
 
     invalid: int  #: Number of received items that were not classic CAN frames
 
-    def take(self) -> Iterator[Frame | str]:
+    def take(self) -> Iterator[CanFrame | str]:
         """Yield received frames, or descriptions of bus failures."""
 
     def wait(self, timeout: float) -> None:
         """Wait for a frame, up to `timeout` seconds."""
 
-    def send(self, frames: Iterable[Frame]) -> str:
+    def send(self, frames: Iterable[CanFrame]) -> str:
         """Send all frames, even if one fails; return the last failure, or an empty string."""
 
     @property
@@ -77,7 +77,7 @@ class CanBus(Bus):
             reason = str(error) or type(error).__name__
             raise BusError(f"bus {p.interface} {p.channel} cannot be opened: {reason}") from error
         self._wake = wake
-        self._received: deque[Frame | str] = deque()
+        self._received: deque[CanFrame | str] = deque()
         self._event = threading.Event()
         self._closing = threading.Event()
         self.invalid = 0
@@ -117,7 +117,7 @@ class CanBus(Bus):
         if self._wake is not None:
             self._wake()
 
-    def _receive(self, timeout: float) -> Frame | str | None:
+    def _receive(self, timeout: float) -> CanFrame | str | None:
         """Return a frame, the description of a bus failure, or None if there is neither."""
         try:
             message = self._bus.recv(timeout)
@@ -134,14 +134,14 @@ class CanBus(Bus):
         if message.is_fd:
             self.invalid += 1
             return None
-        return Frame(
+        return CanFrame(
             number,
             bytes(message.data),
             bool(message.is_extended_id),
             bool(message.is_remote_frame),
         )
 
-    def take(self) -> Iterator[Frame | str]:
+    def take(self) -> Iterator[CanFrame | str]:
         """Yield up to :data:`MAX_TAKEN_FRAMES` received frames, or descriptions of bus failures.
 
         After a failure, the remaining frames wait until the thread wakes the receiver again. A
@@ -175,7 +175,7 @@ class CanBus(Bus):
         else:
             select.select([self._socket], [], [], max(timeout, 0.0))
 
-    def send(self, frames: Iterable[Frame]) -> str:
+    def send(self, frames: Iterable[CanFrame]) -> str:
         """Send all frames, even if one fails; return the last failure, or an empty string."""
         if self._closing.is_set():
             return CLOSED

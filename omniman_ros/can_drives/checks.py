@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from omniman_ros.can_drives.axis import AxisSettings, Setpoint
+from omniman_ros.can_drives.axis import AxisSettings, DriveSetpoint
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import ParameterError
 
@@ -19,7 +19,7 @@ def require_positive(settings: AxisSettings, *names: str) -> None:
             raise ParameterError(f"{settings.name}.{name}", value, "must be finite and above zero")
 
 
-def clip_setpoint(setpoint: Setpoint, settings: AxisSettings) -> Setpoint:
+def clip_setpoint(setpoint: DriveSetpoint, settings: AxisSettings) -> DriveSetpoint:
     """Clip speed and torque, not voltage; raise ValueError if the setpoint is not finite."""
     value, torque = setpoint.value, setpoint.feedforward
     if not (math.isfinite(value) and math.isfinite(torque)):

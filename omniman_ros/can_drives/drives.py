@@ -9,14 +9,14 @@ from enum import Enum
 
 import numpy as np
 
-from omniman_ros.can_drives.axis import AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.axis_group import AxisGroup
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.foreign_host import ForeignHostDetector
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.protocols import PROTOCOLS, Network
 from omniman_ros.can_drives.setpoints import SetpointGenerator
 from omniman_ros.can_drives.transmission import axis_settings
-from omniman_ros.can_drives.wheel_feedback import WheelFeedback, WheelStates
+from omniman_ros.can_drives.wheel_axes import WheelAxes
+from omniman_ros.can_drives.wheel_feedback import FeedbackConverter, WheelStates
 from omniman_ros.control.wheel_cascade import WheelCommand
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
@@ -32,7 +32,7 @@ LISTEN_TIME = 0.2
 STOP_MARGIN = 0.5
 
 
-class Phase(Enum):
+class CanDrivesPhase(Enum):
     """State that the drives are in, or are being brought to."""
 
     UNCONFIGURED = "unconfigured"
@@ -61,10 +61,10 @@ class CanDrives:
     def __init__(self, robot: Robot, parameters: CanParameters) -> None:
         settings = axis_settings(robot, parameters)
         entry = PROTOCOLS[parameters.protocol]
-        self._group = AxisGroup([entry.axis(axis_setting) for axis_setting in settings])
+        self._group = WheelAxes([entry.axis(axis_setting) for axis_setting in settings])
         self.axes = self._group.axes
         self._network: Network = entry.network(settings)
-        self.phase = Phase.UNCONFIGURED
+        self.phase = CanDrivesPhase.UNCONFIGURED
         self.stop_reason = ""
         self._has_moved = False
         ids = set(self._network.command_ids).union(*(axis.command_ids for axis in self.axes))
@@ -72,7 +72,7 @@ class CanDrives:
         self._parameters = parameters
         self._setpoints = SetpointGenerator(self.axes, robot, parameters)
         samples_at_sync = self._network.samples_at_sync
-        self._feedback = WheelFeedback(self.axes, robot, parameters, samples_at_sync)
+        self._feedback = FeedbackConverter(self.axes, robot, parameters, samples_at_sync)
         self._phase_began_at = -math.inf
         self._is_listening = False
         self._at_rest_since: float | None = None
@@ -93,14 +93,14 @@ class CanDrives:
         that then reports a fault is reset once, as the fault may stem from the silence since the
         last host.
         """
-        self.phase, self._phase_began_at = Phase.CONFIGURING, now
+        self.phase, self._phase_began_at = CanDrivesPhase.CONFIGURING, now
         self.stop_reason = ""
         self._forget()
         self._is_listening = True
 
     def enable(self, now: float) -> None:
         """Enable all drives at zero speed over the next ticks, or raise InputError if not IDLE."""
-        if self.phase in (Phase.UNCONFIGURED, Phase.CONFIGURING):
+        if self.phase in (CanDrivesPhase.UNCONFIGURED, CanDrivesPhase.CONFIGURING):
             raise InputError(f"the drives are {self.phase.value}")
         if self.stop_reason:
             raise InputError(f"stopped: {self.stop_reason}")
@@ -108,16 +108,16 @@ class CanDrives:
 
     def disable(self, now: float) -> None:
         """Stop the wheels, then switch the power off."""
-        if self.phase in (Phase.ENABLING, Phase.DRIVING):
-            self.phase = Phase.IDLE
+        if self.phase in (CanDrivesPhase.ENABLING, CanDrivesPhase.DRIVING):
+            self.phase = CanDrivesPhase.IDLE
             self._begin_stop(now)
 
-    def stop(self, reason: str, now: float) -> list[Frame]:
+    def stop(self, reason: str, now: float) -> list[CanFrame]:
         """Latch a quick stop of all drives until :meth:`reset`; return frames to send at once."""
         if self.stop_reason:
             return []
         self._latch(reason, now)
-        if self.phase in (Phase.UNCONFIGURED, Phase.CONFIGURING):
+        if self.phase in (CanDrivesPhase.UNCONFIGURED, CanDrivesPhase.CONFIGURING):
             return []
         return self._record_sent(self._axis_frames(Demand.STOP, now))
 
@@ -131,17 +131,17 @@ class CanDrives:
         Nothing moves; drives that were to drive are enabled again at zero speed.
         """
         reason, self.stop_reason = self.stop_reason, ""
-        if not reason or self.phase in (Phase.UNCONFIGURED, Phase.CONFIGURING):
+        if not reason or self.phase in (CanDrivesPhase.UNCONFIGURED, CanDrivesPhase.CONFIGURING):
             return
         self._group.reset(now)
         self._forget()
-        if self.phase in (Phase.ENABLING, Phase.DRIVING):
+        if self.phase in (CanDrivesPhase.ENABLING, CanDrivesPhase.DRIVING):
             self._begin_enabling(now)
         else:
             self._phase_began_at = now
 
     def _begin_enabling(self, now: float) -> None:
-        self.phase, self._phase_began_at = Phase.ENABLING, now
+        self.phase, self._phase_began_at = CanDrivesPhase.ENABLING, now
         self._forget()
 
     def _begin_stop(self, now: float) -> None:
@@ -161,7 +161,7 @@ class CanDrives:
         """
         self._setpoints.check(command, now - age, now)
         values = command.effort if command.velocity is None else command.velocity
-        if self.stop_reason or self.phase is not Phase.DRIVING:
+        if self.stop_reason or self.phase is not CanDrivesPhase.DRIVING:
             reason = f"stopped: {self.stop_reason}" if self.stop_reason else self.phase.value
             return reason if values.any() else ""
         if values.any() or command.effort.any():
@@ -171,7 +171,7 @@ class CanDrives:
 
     # ---- the bus ------------------------------------------------------------------------------
 
-    def receive(self, frame: Frame, now: float) -> list[Frame]:
+    def receive(self, frame: CanFrame, now: float) -> list[CanFrame]:
         """Process a received frame; return frames to send at once if it makes the drives stop."""
         if self._detect_gap(now):
             return self._record_sent(self._axis_frames(Demand.STOP, now))
@@ -183,53 +183,53 @@ class CanDrives:
         self.host_detector.counts["unknown"] += 1
         return []
 
-    def _receive_host_frame(self, frame: Frame, now: float) -> list[Frame]:
-        if self.phase is Phase.UNCONFIGURED or self.host_detector.is_echo(frame):
+    def _receive_host_frame(self, frame: CanFrame, now: float) -> list[CanFrame]:
+        if self.phase is CanDrivesPhase.UNCONFIGURED or self.host_detector.is_echo(frame):
             return []
         reason = f"another host commands the drives: frame {frame}"
-        if self.phase is Phase.CONFIGURING:
+        if self.phase is CanDrivesPhase.CONFIGURING:
             self._give_up(reason)
         return self.stop(reason, now)
 
-    def _evaluate(self, k: int, receipt: Receipt, now: float) -> list[Frame]:
+    def _evaluate(self, k: int, receipt: Receipt, now: float) -> list[CanFrame]:
         """Stop all drives if the frame that wheel `k` has just received gives a reason."""
         if receipt is Receipt.MALFORMED:
             self.host_detector.counts["malformed"] += 1
         axis = self.axes[k]
         implausible = self._feedback.check(k)
         reason = axis.fault_reason or implausible
-        if not reason or self.stop_reason or self.phase is Phase.CONFIGURING:
+        if not reason or self.stop_reason or self.phase is CanDrivesPhase.CONFIGURING:
             return []
         return self.stop(f"{axis.settings.name}: {reason}", now)
 
-    def on_bus_failure(self, reason: str, now: float) -> list[Frame]:
+    def on_bus_failure(self, reason: str, now: float) -> list[CanFrame]:
         """Stop all drives because the bus is off or a frame could not be sent.
 
         While the drives are configured nothing moves, and configuring is given up instead.
         """
-        if self.phase is Phase.CONFIGURING:
+        if self.phase is CanDrivesPhase.CONFIGURING:
             self._give_up(f"bus: {reason}")
         return self.stop(f"bus: {reason}", now)
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float) -> list[CanFrame]:
         """Return the frames of one period; to be called at the installation's rate."""
-        if self.phase is Phase.UNCONFIGURED or self._listen(now):
+        if self.phase is CanDrivesPhase.UNCONFIGURED or self._listen(now):
             return []
         self._detect_gap(now)
         self._last_tick, self._tick_before = now, self._last_tick
         before = self._network.before(now)
-        if self.phase is Phase.CONFIGURING:
+        if self.phase is CanDrivesPhase.CONFIGURING:
             frames = self._axis_frames(Demand.IDLE, now)
             self._group.reset_faults_once(now)
             self._finish_configuring(now)
         else:
             self._supervise(now)
-            is_stopped = self.stop_reason or self.phase is Phase.IDLE
+            is_stopped = self.stop_reason or self.phase is CanDrivesPhase.IDLE
             demand = self._stop_demand(now) if is_stopped else Demand.DRIVE
             frames = self._axis_frames(demand, now)
         return self._record_sent([*before, *frames, *self._network.after(now)])
 
-    def _record_sent(self, frames: list[Frame]) -> list[Frame]:
+    def _record_sent(self, frames: list[CanFrame]) -> list[CanFrame]:
         self.host_detector.record_sent(frames)
         return frames
 
@@ -242,7 +242,7 @@ class CanDrives:
         ramp continues from the last period, not from now.
         """
         gap = now - self._last_tick
-        if self.stop_reason or self.phase is not Phase.DRIVING:
+        if self.stop_reason or self.phase is not CanDrivesPhase.DRIVING:
             return False
         if gap <= self._parameters.heartbeat_timeout:
             return False
@@ -258,17 +258,17 @@ class CanDrives:
         return self._is_listening
 
     def _finish_configuring(self, now: float) -> None:
-        if self.phase is not Phase.CONFIGURING:
+        if self.phase is not CanDrivesPhase.CONFIGURING:
             return
         if self._group.are_all(AxisState.READY) and self._group.have_reported:
-            self.phase = Phase.IDLE
+            self.phase = CanDrivesPhase.IDLE
             self._at_rest_since = now - REST_TIME
         elif self._group.fault or now - self._phase_began_at > self._parameters.configure_timeout:
             self._give_up(self._group.describe_others_than(AxisState.READY))
 
     def _give_up(self, reason: str) -> None:
         self._is_listening = False
-        self.stop_reason, self.phase = f"not configured: {reason}", Phase.UNCONFIGURED
+        self.stop_reason, self.phase = f"not configured: {reason}", CanDrivesPhase.UNCONFIGURED
 
     def _supervise(self, now: float) -> None:
         """Detect reasons to stop that come without a frame: faults, silence, disabled drives."""
@@ -277,12 +277,12 @@ class CanDrives:
             return
         if self._group.fault:
             self._latch(self._group.fault, now)
-        elif self.phase is Phase.DRIVING:
+        elif self.phase is CanDrivesPhase.DRIVING:
             self._detect_lost_drives(now)
-        elif self.phase is Phase.ENABLING:
+        elif self.phase is CanDrivesPhase.ENABLING:
             silence = self._group.silence(now, self._parameters.feedback_timeout)
             if self._group.are_all(AxisState.ENABLED) and not silence:
-                self.phase = Phase.DRIVING
+                self.phase = CanDrivesPhase.DRIVING
             elif now - self._phase_began_at > self._parameters.enable_timeout:
                 others = self._group.describe_others_than(AxisState.ENABLED)
                 self._latch(f"not enabled: {others}", now)
@@ -312,20 +312,20 @@ class CanDrives:
     def _rotates(self) -> bool:
         return not bool((np.abs(self._feedback.velocity()) < REST_SPEED).all())
 
-    def _axis_frames(self, demand: Demand, now: float) -> list[Frame]:
+    def _axis_frames(self, demand: Demand, now: float) -> list[CanFrame]:
         """Return the frames of all axes; one axis that fails makes the others stop at once."""
         frames, failure = self._group.tick(demand, self._choose_setpoints(demand, now), now)
-        if failure and self.phase is Phase.CONFIGURING:
+        if failure and self.phase is CanDrivesPhase.CONFIGURING:
             self._give_up(failure)
         if not failure or self.stop_reason:
             return frames
         self._latch(failure, now)
         return self._axis_frames(Demand.STOP, now)
 
-    def _choose_setpoints(self, demand: Demand, now: float) -> list[Setpoint]:
+    def _choose_setpoints(self, demand: Demand, now: float) -> list[DriveSetpoint]:
         if demand is Demand.STOP:
             return self._setpoints.stopping(now)
-        if demand is Demand.IDLE or self.phase is not Phase.DRIVING:
+        if demand is Demand.IDLE or self.phase is not CanDrivesPhase.DRIVING:
             return self._setpoints.resting()
         return self._setpoints.driving(self._feedback.believed_velocity(), now)
 
@@ -333,7 +333,7 @@ class CanDrives:
 
     def at_rest(self, now: float) -> bool:
         """Return whether all wheels that still report are at rest or an overdue stop ended."""
-        if self.phase is Phase.UNCONFIGURED:
+        if self.phase is CanDrivesPhase.UNCONFIGURED:
             return True
         is_overdue = self.stop_reason and now - self._phase_began_at > self.longest_stop
         return bool(
@@ -346,7 +346,7 @@ class CanDrives:
     @property
     def may_have_moved(self) -> bool:
         """Whether motion was commanded, or a wheel rotated while the drives had power."""
-        has_power = self.phase in (Phase.ENABLING, Phase.DRIVING)
+        has_power = self.phase in (CanDrivesPhase.ENABLING, CanDrivesPhase.DRIVING)
         return self._has_moved or (has_power and self._rotates)
 
     @property

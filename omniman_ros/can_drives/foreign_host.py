@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterable
 
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 
 ECHO_MEMORY = 32  #: Number of sent frames per id that may still come back as an echo
 
@@ -25,18 +25,18 @@ class ForeignHostDetector:
         }
         self.counts: Counter[str] = Counter()
 
-    def record_sent(self, frames: Iterable[Frame]) -> None:
+    def record_sent(self, frames: Iterable[CanFrame]) -> None:
         """Remember frames that are about to be sent."""
         for frame in frames:
             sent = self._sent.get((frame.id, frame.extended))
             if sent is not None and not frame.remote:
                 sent.append(frame.data)
 
-    def is_host_frame(self, frame: Frame) -> bool:
+    def is_host_frame(self, frame: CanFrame) -> bool:
         """Return whether only a host sends frames with this id."""
         return (frame.id, frame.extended) in self._sent
 
-    def is_echo(self, frame: Frame) -> bool:
+    def is_echo(self, frame: CanFrame) -> bool:
         """Return whether an equal frame was sent and has not come back yet; if so, count it."""
         sent = self._sent[frame.id, frame.extended]
         if frame.remote or frame.data not in sent:

@@ -17,7 +17,7 @@ CRC_POLYNOMIAL = 0x4599
 UNSTUFFED_BITS = 13
 
 
-class Frame(NamedTuple):
+class CanFrame(NamedTuple):
     """A data frame or remote frame."""
 
     id: int  #: Arbitration id of 11 bits, or of 29 bits if `extended`
@@ -54,7 +54,7 @@ def count_stuff_bits(bits: str) -> int:
     return count
 
 
-def frame_bits(frame: Frame) -> int:
+def frame_bits(frame: CanFrame) -> int:
     """Return the length of a frame on the wire [bit], with stuff bits and interframe space.
 
     Raises:
@@ -72,7 +72,7 @@ def frame_bits(frame: Frame) -> int:
     return len(bits) + count_stuff_bits(bits) + UNSTUFFED_BITS
 
 
-def bus_load(frames: Iterable[Frame], duration: float, bitrate: float) -> float:
+def bus_load(frames: Iterable[CanFrame], duration: float, bitrate: float) -> float:
     """Return the fraction of a time [s] in which frames occupy the bus; above 1 they don't fit.
 
     Args:

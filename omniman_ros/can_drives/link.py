@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable
 from functools import partial
 
 from omniman_ros.can_drives.bus import Bus, CanBus
-from omniman_ros.can_drives.drives import CanDrives, Phase
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.drives import CanDrives, CanDrivesPhase
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
@@ -52,8 +52,8 @@ class CanLink:
         """Configure the drives and wait for them; return why that failed, or an empty string."""
         drives = self.drives
         drives.configure(self._clock())
-        self.run_until(lambda: drives.phase is not Phase.CONFIGURING, NO_TIMEOUT)
-        failed = drives.phase is not Phase.IDLE
+        self.run_until(lambda: drives.phase is not CanDrivesPhase.CONFIGURING, NO_TIMEOUT)
+        failed = drives.phase is not CanDrivesPhase.IDLE
         return drives.stop_reason.removeprefix("not configured: ") if failed else ""
 
     def enable(self) -> str:
@@ -98,7 +98,7 @@ class CanLink:
     @property
     def is_driving(self) -> bool:
         """Whether the drives are enabled and follow commands."""
-        return self.drives.phase is Phase.DRIVING
+        return self.drives.phase is CanDrivesPhase.DRIVING
 
     @property
     def at_rest(self) -> bool:
@@ -154,7 +154,7 @@ class CanLink:
             self.send(self._on_bus_failure(self.bus.failure))
         self.send(self.drives.tick(self._clock()))
 
-    def send(self, frames: Iterable[Frame]) -> None:
+    def send(self, frames: Iterable[CanFrame]) -> None:
         """Send frames; if one cannot be sent, stop all drives and try to send the stop."""
         frames = list(frames)
         self.sent += len(frames)
@@ -162,7 +162,7 @@ class CanLink:
         if failure:
             self.bus.send(self._on_bus_failure(failure))
 
-    def _on_bus_failure(self, reason: str) -> list[Frame]:
+    def _on_bus_failure(self, reason: str) -> list[CanFrame]:
         """Stop all drives because of the bus; return the frames to send at once."""
         self._has_bus_failed = True
         return self.drives.on_bus_failure(reason, self._clock())

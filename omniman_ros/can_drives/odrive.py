@@ -24,16 +24,16 @@ from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveSetpoint,
     Feedback,
     Receipt,
-    Setpoint,
 )
 from omniman_ros.can_drives.checks import clip_setpoint, is_reachable, require_positive
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 
 
-class Command(IntEnum):
+class CommandId(IntEnum):
     """Command of a frame: the lower five bits of its id."""
 
     VERSION = 0x00
@@ -60,26 +60,26 @@ class Command(IntEnum):
 
 
 HOST_COMMANDS = (
-    Command.AXIS_STATE,
-    Command.CONTROLLER_MODE,
-    Command.INPUT_POSITION,
-    Command.INPUT_VELOCITY,
-    Command.INPUT_TORQUE,
-    Command.LIMITS,
-    Command.REBOOT,
-    Command.CLEAR_ERRORS,
-    Command.ABSOLUTE_POSITION,
+    CommandId.AXIS_STATE,
+    CommandId.CONTROLLER_MODE,
+    CommandId.INPUT_POSITION,
+    CommandId.INPUT_VELOCITY,
+    CommandId.INPUT_TORQUE,
+    CommandId.LIMITS,
+    CommandId.REBOOT,
+    CommandId.CLEAR_ERRORS,
+    CommandId.ABSOLUTE_POSITION,
 )  #: Commands that only a host sends; an emergency stop (0x02) may come from anyone
 
 UNUSED_REPORTS = (
-    Command.VERSION,
-    Command.ERROR,
-    Command.ENCODER_ERROR,
-    Command.SDO,
-    Command.ENCODER_COUNT,
-    Command.TEMPERATURE,
-    Command.TORQUES,
-    Command.POWERS,
+    CommandId.VERSION,
+    CommandId.ERROR,
+    CommandId.ENCODER_ERROR,
+    CommandId.SDO,
+    CommandId.ENCODER_COUNT,
+    CommandId.TEMPERATURE,
+    CommandId.TORQUES,
+    CommandId.POWERS,
 )  #: Reports that are received but not used here
 
 #: Layout of a heartbeat: axis error, axis state, and flags that differ between the firmwares
@@ -196,10 +196,10 @@ class OdriveAxis:
             (settings.node << 5 | command, False) for command in HOST_COMMANDS
         )
         self._handlers: dict[int, Callable[[bytes, float], bool]] = {
-            Command.HEARTBEAT: self._on_heartbeat,
-            Command.ENCODER: self._on_encoder,
-            Command.IQ: self._on_iq,
-            Command.BUS: self._on_bus,
+            CommandId.HEARTBEAT: self._on_heartbeat,
+            CommandId.ENCODER: self._on_encoder,
+            CommandId.IQ: self._on_iq,
+            CommandId.BUS: self._on_bus,
         }
         self._heartbeat_timeout = MISSED_HEARTBEATS * settings.drive_heartbeat + settings.period
         self._mode: DriveMode | None = None
@@ -212,7 +212,7 @@ class OdriveAxis:
         self._requested_at = -math.inf
         self._position_revolutions: float | None = None
         self._offset = 0.0
-        self._received_at = {Command.IQ: -math.inf, Command.BUS: -math.inf}
+        self._received_at = {CommandId.IQ: -math.inf, CommandId.BUS: -math.inf}
         self._value_requested_at = -math.inf
 
     def configure(self, now: float) -> None:
@@ -229,7 +229,7 @@ class OdriveAxis:
             self.configure(now)
             self._clear_errors = True
 
-    def receive(self, frame: Frame, now: float) -> Receipt:
+    def receive(self, frame: CanFrame, now: float) -> Receipt:
         """See `Axis`: remote frames are requests of a host, and thus foreign."""
         node, command = divmod(frame.id, 32)
         handler = self._handlers.get(command)
@@ -245,7 +245,7 @@ class OdriveAxis:
             return Receipt.MALFORMED
         return Receipt.ACCEPTED
 
-    def tick(self, demand: Demand, setpoint: Setpoint, now: float) -> list[Frame]:
+    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
         """See `Axis`: return one frame, or more if something begins, is repeated or is requested.
 
         Raises:
@@ -268,7 +268,7 @@ class OdriveAxis:
                 frames += self._request_state(IDLE, now)
         return frames + self._request_values(now)
 
-    def _configuration_frames(self, now: float) -> list[Frame]:
+    def _configuration_frames(self, now: float) -> list[CanFrame]:
         """Return zero velocity, and with each request for IDLE the whole configuration."""
         frames = [self._input_velocity(0.0, 0.0)]
         request = self._request_state(IDLE, now)
@@ -277,7 +277,7 @@ class OdriveAxis:
             if self._clear_errors:
                 self._clear_errors = False
                 self._errors_ignored_until = now + self._heartbeat_timeout
-                frames.insert(0, self._frame(Command.CLEAR_ERRORS, bytes(8)))
+                frames.insert(0, self._frame(CommandId.CLEAR_ERRORS, bytes(8)))
         return frames
 
     def _can_enable(self, is_requested: bool) -> bool:
@@ -291,7 +291,7 @@ class OdriveAxis:
         """Return whether a heartbeat after the last request shows IDLE."""
         return self._axis_state == IDLE and self._heartbeat_at > self._requested_at
 
-    def _enabling_frames(self, now: float) -> list[Frame]:
+    def _enabling_frames(self, now: float) -> list[CanFrame]:
         """Return zero velocity, and a request for closed loop if it is new or due again.
 
         It is not repeated more often: a drive in closed loop would leave it and enter it again.
@@ -300,7 +300,7 @@ class OdriveAxis:
         request = self._request_state(CLOSED_LOOP, now)
         return [*frames, *self._controller_frames(), *request] if request else frames
 
-    def _setpoint_frames(self, setpoint: Setpoint) -> list[Frame]:
+    def _setpoint_frames(self, setpoint: DriveSetpoint) -> list[CanFrame]:
         """Return a setpoint; if the mode changes, after a zero in the new mode and the mode.
 
         The drive keeps the input of a mode that it is not in: without the zero it would follow the
@@ -311,21 +311,21 @@ class OdriveAxis:
                 self.fault_reason or f"it does not support {setpoint.mode.value} mode"
             )
             return [self._input_velocity(0.0, 0.0)]
-        frames: list[Frame] = []
+        frames: list[CanFrame] = []
         if setpoint.mode is not self._mode:
             self._mode = setpoint.mode
             frames = [self._input(self._mode, 0.0, 0.0), self._controller_mode(self._mode)]
         torque = setpoint.feedforward if self.settings.feed_forward else 0.0
         return [*frames, self._input(setpoint.mode, setpoint.value, torque)]
 
-    def _request_state(self, axis_state: int, now: float) -> list[Frame]:
+    def _request_state(self, axis_state: int, now: float) -> list[CanFrame]:
         """Return a request for an axis state if it is new or due again."""
         if self._requested == axis_state and now - self._requested_at < self._heartbeat_timeout:
             return []
         self._requested, self._requested_at = axis_state, now
-        return [self._frame(Command.AXIS_STATE, TWO_INTEGERS.pack(axis_state, 0))]
+        return [self._frame(CommandId.AXIS_STATE, TWO_INTEGERS.pack(axis_state, 0))]
 
-    def _request_values(self, now: float) -> list[Frame]:
+    def _request_values(self, now: float) -> list[CanFrame]:
         """Return a request for current or supply, alternately, unless it was received lately."""
         if now - self._value_requested_at < REQUEST_PERIOD:
             return []
@@ -335,31 +335,31 @@ class OdriveAxis:
         command = missing[0]
         self._received_at[command] = self._received_at.pop(command)
         self._value_requested_at = now
-        return [Frame(self.settings.node << 5 | command, b"", remote=True)]
+        return [CanFrame(self.settings.node << 5 | command, b"", remote=True)]
 
-    def _controller_frames(self) -> list[Frame]:
+    def _controller_frames(self) -> list[CanFrame]:
         settings = self.settings
         self._mode = DriveMode.VELOCITY
         limits = (settings.max_speed / math.tau, settings.max_torque / settings.torque_constant)
         return [
             self._controller_mode(self._mode),
-            self._frame(Command.LIMITS, TWO_FLOATS.pack(*limits)),
+            self._frame(CommandId.LIMITS, TWO_FLOATS.pack(*limits)),
         ]
 
-    def _controller_mode(self, mode: DriveMode) -> Frame:
+    def _controller_mode(self, mode: DriveMode) -> CanFrame:
         data = TWO_INTEGERS.pack(CONTROL_MODES[mode], PASSTHROUGH)
-        return self._frame(Command.CONTROLLER_MODE, data)
+        return self._frame(CommandId.CONTROLLER_MODE, data)
 
-    def _input(self, mode: DriveMode, value: float, torque: float) -> Frame:
+    def _input(self, mode: DriveMode, value: float, torque: float) -> CanFrame:
         if mode is DriveMode.TORQUE:
-            return self._frame(Command.INPUT_TORQUE, TWO_FLOATS.pack(value, 0.0))
+            return self._frame(CommandId.INPUT_TORQUE, TWO_FLOATS.pack(value, 0.0))
         return self._input_velocity(value / math.tau, torque)
 
-    def _input_velocity(self, rev_per_s: float, torque: float) -> Frame:
-        return self._frame(Command.INPUT_VELOCITY, TWO_FLOATS.pack(rev_per_s, torque))
+    def _input_velocity(self, rev_per_s: float, torque: float) -> CanFrame:
+        return self._frame(CommandId.INPUT_VELOCITY, TWO_FLOATS.pack(rev_per_s, torque))
 
-    def _frame(self, command: Command, data: bytes) -> Frame:
-        return Frame(self.settings.node << 5 | command, data)
+    def _frame(self, command: CommandId, data: bytes) -> CanFrame:
+        return CanFrame(self.settings.node << 5 | command, data)
 
     def _on_heartbeat(self, data: bytes, now: float) -> bool:
         error, axis_state, *_ = HEARTBEAT_LAYOUT.unpack_from(data)
@@ -415,7 +415,7 @@ class OdriveAxis:
         _, current = TWO_FLOATS.unpack_from(data)
         if not math.isfinite(current):
             return False
-        self._received_at[Command.IQ] = now
+        self._received_at[CommandId.IQ] = now
         self.feedback.current = current
         self.feedback.torque = current * self.settings.torque_constant
         return True
@@ -424,7 +424,7 @@ class OdriveAxis:
         voltage, _ = TWO_FLOATS.unpack_from(data)
         if not math.isfinite(voltage):
             return False
-        self._received_at[Command.BUS] = now
+        self._received_at[CommandId.BUS] = now
         self.feedback.bus_voltage = voltage
         return True
 

@@ -11,7 +11,7 @@ from typing import Protocol
 from omniman_ros.can_drives.axis import Axis, AxisSettings
 from omniman_ros.can_drives.cia402.axis import Cia402Axis
 from omniman_ros.can_drives.cia402.network import CanopenNetwork
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.odrive import OdriveAxis
 from omniman_ros.can_drives.vesc import VescAxis
 
@@ -25,10 +25,10 @@ class Network(Protocol):
     #: Ids, and whether they are extended, of frames that only a host sends
     command_ids: Collection[tuple[int, bool]]
 
-    def before(self, now: float) -> list[Frame]:
+    def before(self, now: float) -> list[CanFrame]:
         """Return the frames to send before those of the axes, once per period."""
 
-    def after(self, now: float) -> list[Frame]:
+    def after(self, now: float) -> list[CanFrame]:
         """Return the frames to send after those of the axes, once per period."""
 
 
@@ -39,11 +39,11 @@ class QuietNetwork:
     samples_at_sync: bool = False
     command_ids: Collection[tuple[int, bool]] = field(default_factory=tuple)
 
-    def before(self, now: float) -> list[Frame]:
+    def before(self, now: float) -> list[CanFrame]:
         """Return an empty list."""
         return []
 
-    def after(self, now: float) -> list[Frame]:
+    def after(self, now: float) -> list[CanFrame]:
         """Return an empty list."""
         return []
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from omniman_ros.can_drives.axis import REST, Axis, Setpoint
+from omniman_ros.can_drives.axis import REST, Axis, DriveSetpoint
 from omniman_ros.can_drives.transmission import Transmission, max_wheel_speed, transmissions
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.arrays import Array
@@ -126,18 +126,18 @@ class SetpointGenerator:
         """Begin a ramp at wheel speeds (n,) [rad/s], at a time [s] or, if None, the next call."""
         self._ramp.begin(speeds, at)
 
-    def resting(self) -> list[Setpoint]:
+    def resting(self) -> list[DriveSetpoint]:
         """Return setpoints of zero velocity, without a ramp."""
         self._ramp.rest()
         return [REST] * len(self._axes)
 
-    def stopping(self, now: float) -> list[Setpoint]:
+    def stopping(self, now: float) -> list[DriveSetpoint]:
         """Return the setpoints of a quick stop."""
         return self._from_speeds(
             self._ramp.step_to_rest(self._parameters.quick_stop_deceleration, now)
         )
 
-    def driving(self, speeds: Array, now: float) -> list[Setpoint]:
+    def driving(self, speeds: Array, now: float) -> list[DriveSetpoint]:
         """Return the setpoints that follow the command, or ramp to rest if it is stale.
 
         Args:
@@ -155,7 +155,7 @@ class SetpointGenerator:
         self._ramp.begin(speeds)  # a ramp that follows begins at the measured speeds
         return self._from_efforts(command)
 
-    def _from_speeds(self, speeds: Array, efforts: Array | None = None) -> list[Setpoint]:
+    def _from_speeds(self, speeds: Array, efforts: Array | None = None) -> list[DriveSetpoint]:
         targets = speeds.tolist()
         torques = [0.0] * len(targets) if efforts is None else efforts.tolist()
         return [
@@ -163,7 +163,7 @@ class SetpointGenerator:
             for gear, speed, torque in zip(self._gears, targets, torques, strict=True)
         ]
 
-    def _from_efforts(self, command: WheelCommand) -> list[Setpoint]:
+    def _from_efforts(self, command: WheelCommand) -> list[DriveSetpoint]:
         setpoints = []
         efforts = command.effort.tolist()
         for gear, axis, value in zip(self._gears, self._axes, efforts, strict=True):

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from omniman_ros.can_drives.axis import AxisSettings, Feedback, Setpoint
+from omniman_ros.can_drives.axis import AxisSettings, DriveSetpoint, Feedback
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.can_parameters import HEADROOM, CanParameters
 from omniman_ros.core.robot import Robot
@@ -42,7 +42,9 @@ class Transmission:
         is_driving = _is_driving(lossless, velocity)
         return lossless * self.efficiency if is_driving else lossless / self.efficiency
 
-    def setpoint(self, mode: DriveMode, value: float, effort: float, velocity: float) -> Setpoint:
+    def setpoint(
+        self, mode: DriveMode, value: float, effort: float, velocity: float
+    ) -> DriveSetpoint:
         """Return the setpoint at the motor's shaft for a command to the wheel.
 
         Args:
@@ -51,12 +53,12 @@ class Transmission:
                 torque mode; motor voltage [V] in voltage mode.
         """
         if mode is DriveMode.VELOCITY:
-            return Setpoint(mode, value * self.ratio, self.to_motor(effort, value))
+            return DriveSetpoint(mode, value * self.ratio, self.to_motor(effort, value))
         if mode is DriveMode.TORQUE:
-            return Setpoint(mode, self.to_motor(effort, velocity))
-        return Setpoint(mode, math.copysign(1.0, self.ratio) * effort)
+            return DriveSetpoint(mode, self.to_motor(effort, velocity))
+        return DriveSetpoint(mode, math.copysign(1.0, self.ratio) * effort)
 
-    def voltage_to_torque(self, setpoint: Setpoint, feedback: Feedback) -> Setpoint:
+    def voltage_to_torque(self, setpoint: DriveSetpoint, feedback: Feedback) -> DriveSetpoint:
         """Return the torque setpoint that replaces a voltage setpoint at the motor's shaft.
 
         The torque is tau = K (V - K w) / R (MPC 2021 (21), L = 0). The measured supply voltage
@@ -73,7 +75,7 @@ class Transmission:
         torque = k * (volts - k * speed) / self.resistance
         max_motor_torque = self.max_torque / abs(self.ratio)
         torque = min(max(torque, -max_motor_torque), max_motor_torque)
-        return Setpoint(DriveMode.TORQUE, torque)
+        return DriveSetpoint(DriveMode.TORQUE, torque)
 
     def electrical(self, feedback: Feedback) -> tuple[float, float]:
         """Return voltage [V] and current [A] of the motor, in the wheel's direction of rotation.

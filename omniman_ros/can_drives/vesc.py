@@ -24,17 +24,17 @@ from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveSetpoint,
     Feedback,
     Receipt,
-    Setpoint,
     WrappingCounter,
 )
 from omniman_ros.can_drives.checks import clip_setpoint, is_reachable, require_positive
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 
 
-class Packet(IntEnum):
+class PacketId(IntEnum):
     """Commands of frames (CAN_PACKET_ID) that are sent or received."""
 
     SET_DUTY = 0
@@ -57,10 +57,10 @@ class Packet(IntEnum):
 
 #: Scale of a command's integer: counts per duty cycle of 1, per A, and per electrical rpm.
 #: The table of comm_can.md says 1000 for SET_RPM; its C code and comm_can.c do not scale it.
-SCALES = {Packet.SET_DUTY: 1e5, Packet.SET_CURRENT: 1e3, Packet.SET_RPM: 1.0}
+SCALES = {PacketId.SET_DUTY: 1e5, PacketId.SET_CURRENT: 1e3, PacketId.SET_RPM: 1.0}
 
 #: Commands that only a host sends
-HOST_COMMANDS = tuple(p for p in Packet if p.name.startswith("SET_"))
+HOST_COMMANDS = tuple(p for p in PacketId if p.name.startswith("SET_"))
 #: Layout of status 1: speed [electrical rpm], total motor current [0.1 A], duty cycle [1/1000]
 STATUS_LAYOUT = struct.Struct(">ihh")
 #: Layout of status 5: tachometer [1/6 electrical revolution], input voltage [0.1 V], reserved
@@ -111,18 +111,18 @@ class VescAxis:
             (packet << 8 | node, True) for packet in HOST_COMMANDS
         )
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            Packet.STATUS << 8 | node: self._on_status,
-            Packet.STATUS_5 << 8 | node: self._on_status_5,
+            PacketId.STATUS << 8 | node: self._on_status,
+            PacketId.STATUS_5 << 8 | node: self._on_status_5,
         }
-        self._boot_id = Packet.NOTIFY_BOOT << 8 | node
-        others = (Packet.STATUS_2, Packet.STATUS_3, Packet.STATUS_4, Packet.STATUS_6)
+        self._boot_id = PacketId.NOTIFY_BOOT << 8 | node
+        others = (PacketId.STATUS_2, PacketId.STATUS_3, PacketId.STATUS_4, PacketId.STATUS_6)
         self._unused_ids = frozenset(packet << 8 | node for packet in others)
         self._radians_per_count = math.tau / (6 * settings.pole_pairs)
         self._tachometer = WrappingCounter()
         self._tachometer_at: float | None = None
         self._duty = math.nan
-        self._fresh: set[Packet] = set()
-        self._received: set[Packet] = set()
+        self._fresh: set[PacketId] = set()
+        self._received: set[PacketId] = set()
         self._is_driven = False
 
     def configure(self, now: float) -> None:
@@ -136,7 +136,7 @@ class VescAxis:
         if self.fault_reason or self.state is AxisState.OFFLINE:
             self.configure(now)
 
-    def receive(self, frame: Frame, now: float) -> Receipt:
+    def receive(self, frame: CanFrame, now: float) -> Receipt:
         """See `Axis`: remote, 11-bit and short frames are malformed, as a VESC sends none."""
         if frame.id == self._boot_id and frame.extended and not frame.remote:
             self._tachometer.restart()
@@ -152,7 +152,7 @@ class VescAxis:
             handler(frame.data, now)
         return Receipt.ACCEPTED
 
-    def tick(self, demand: Demand, setpoint: Setpoint, now: float) -> list[Frame]:
+    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
         """See `Axis`: return exactly one frame.
 
         Raises:
@@ -168,28 +168,30 @@ class VescAxis:
         elif demand is Demand.DRIVE and self._can_drive(now):
             self.state, self._is_driven = AxisState.ENABLED, True
         return [
-            self._command_frame(Packet.SET_RPM if self._is_driven else Packet.SET_CURRENT, 0.0)
+            self._command_frame(PacketId.SET_RPM if self._is_driven else PacketId.SET_CURRENT, 0.0)
         ]
 
     def _can_drive(self, now: float) -> bool:
         is_fresh = now - self.feedback.at <= self.settings.feedback_timeout
         return self.state is AxisState.READY and not self.fault_reason and is_fresh
 
-    def _setpoint_frame(self, setpoint: Setpoint) -> Frame:
+    def _setpoint_frame(self, setpoint: DriveSetpoint) -> CanFrame:
         settings, value = self.settings, setpoint.value
         if setpoint.mode is DriveMode.VELOCITY:
-            return self._command_frame(Packet.SET_RPM, value * RPM * settings.pole_pairs)
+            return self._command_frame(PacketId.SET_RPM, value * RPM * settings.pole_pairs)
         if setpoint.mode is DriveMode.TORQUE:
-            return self._command_frame(Packet.SET_CURRENT, value / settings.torque_constant)
+            return self._command_frame(PacketId.SET_CURRENT, value / settings.torque_constant)
         supply = self.feedback.bus_voltage
         if not supply >= MIN_BUS_VOLTAGE:
             self._fail(self.state, f"no plausible bus voltage received: {supply:g} V")
-            return self._command_frame(Packet.SET_CURRENT, 0.0)
-        return self._command_frame(Packet.SET_DUTY, min(max(value / supply, -MAX_DUTY), MAX_DUTY))
+            return self._command_frame(PacketId.SET_CURRENT, 0.0)
+        return self._command_frame(
+            PacketId.SET_DUTY, min(max(value / supply, -MAX_DUTY), MAX_DUTY)
+        )
 
-    def _command_frame(self, packet: Packet, value: float) -> Frame:
+    def _command_frame(self, packet: PacketId, value: float) -> CanFrame:
         number = round(min(max(value * SCALES[packet], -MAX_INTEGER), MAX_INTEGER))
-        return Frame(packet << 8 | self.settings.node, struct.pack(">i", number), extended=True)
+        return CanFrame(packet << 8 | self.settings.node, struct.pack(">i", number), extended=True)
 
     def _on_status(self, data: bytes, now: float) -> None:
         speed, current, duty = STATUS_LAYOUT.unpack_from(data)
@@ -199,7 +201,7 @@ class VescAxis:
         feedback.current = current * (-0.1 if duty < 0 else 0.1)
         feedback.torque = feedback.current * settings.torque_constant
         feedback.voltage = self._duty * feedback.bus_voltage
-        self._count_report(Packet.STATUS, now)
+        self._count_report(PacketId.STATUS, now)
 
     def _on_status_5(self, data: bytes, now: float) -> None:
         reading, supply, _ = STATUS_5_LAYOUT.unpack_from(data)
@@ -215,9 +217,9 @@ class VescAxis:
         self.feedback.position = counter.value * self._radians_per_count
         self.feedback.bus_voltage = supply * 0.1
         self.feedback.voltage = self._duty * self.feedback.bus_voltage
-        self._count_report(Packet.STATUS_5, now)
+        self._count_report(PacketId.STATUS_5, now)
 
-    def _count_report(self, packet: Packet, now: float) -> None:
+    def _count_report(self, packet: PacketId, now: float) -> None:
         self._fresh.add(packet)
         self._received.add(packet)
         if len(self._fresh) == 2:

@@ -17,7 +17,7 @@ RUNAWAY_SPEED = 1.5
 MIN_COMPARED_SPEED = 0.5  #: Speed below which position and speed are not compared [rad/s]
 #: Travel, integrated from the reported speed, in which the position has to change [rad]; an
 #: encoder's step must be smaller.
-UNMOVED_TRAVEL = 0.2
+MIN_INTEGRATED_ANGLE = 0.2
 #: Smallest number of reports in a row without a change: one that follows a gap is not enough
 UNMOVED_REPORTS = 4
 #: Smallest plausible ratio of position change to travel; well below 1, as reports may be late
@@ -73,7 +73,7 @@ class WheelMonitor:
         if not moved < MIN_MOVED_FRACTION * self._travel:  # also if the anchor is not finite
             self._begin(position)
             return ""
-        if self._travel < UNMOVED_TRAVEL or self._reports < UNMOVED_REPORTS:
+        if self._travel < MIN_INTEGRATED_ANGLE or self._reports < UNMOVED_REPORTS:
             return ""
         self._begin(position)
         return f"its encoder moved {moved:.3f} rad while it reported {speed:.1f} rad/s"
@@ -95,7 +95,7 @@ class WheelStates:
     effort: Array  #: Torques at the wheels [N m]; NaN if the drive does not report them
 
 
-class WheelFeedback:
+class FeedbackConverter:
     """Converts the feedback of the axes into measurements of the wheels."""
 
     def __init__(

@@ -19,7 +19,7 @@ UNCONFIRMED = (
 )  #: What is said when a node does not answer a request to cancel
 
 
-class Driver(Protocol):
+class CancellableMotion(Protocol):
     """Sends a motion to a node of the robot."""
 
     def cancel(self) -> str:
@@ -27,7 +27,7 @@ class Driver(Protocol):
         ...
 
 
-DriverT = TypeVar("DriverT", bound=Driver)
+DriverT = TypeVar("DriverT", bound=CancellableMotion)
 #: Creates a driver from the ROS session, the progress display and a function to poll.
 #:
 #: The driver must call that function many times a second; it raises to end the motion early.

@@ -24,7 +24,7 @@ NODES = ("path_interpolator", "whole_body_planner")
 Position = tuple[float, float, float]  #: Position (x, y, z) of the tool [m]
 
 
-class ToolDriver:
+class ToolPathClient:
     """Sends one path of the tool and follows it; `poll`, called often, may raise to end it."""
 
     def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
@@ -151,6 +151,6 @@ def run(args: argparse.Namespace) -> int:
     return run_motion(
         "omniman_tool",
         args.namespace,
-        ToolDriver,
+        ToolPathClient,
         lambda driver: driver.drive(position, args.relative, args.timeout),
     )

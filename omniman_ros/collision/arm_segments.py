@@ -78,7 +78,7 @@ class ArmSegments:
         ends = np.linalg.norm(self._ends, axis=-1).max(axis=0) + self.radius
         return float(ends[self.link == link].max())
 
-    def levers(self, first: int, last: int, extent: float) -> Array:
+    def lever_arms(self, first: int, last: int, extent: float) -> Array:
         """Return bounds (6,) of the distances of a part from the axes of the joints [m].
 
         They are zero for joints that do not turn the part relative to the link `first`. The part

@@ -1,4 +1,4 @@
-"""Shape of platform, arm, tool and load, and distances between them and from solids."""
+"""Shape of platform, arm, tool and load, and distances between them and from obstacles."""
 
 from itertools import groupby
 
@@ -11,7 +11,7 @@ from omniman_ros.collision.load_box import LoadBox
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.prism import ConvexPrism
 from omniman_ros.collision.segments import segment_distances
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -30,22 +30,22 @@ LINKS_BEFORE_WRIST = 5
 #: Pairs of links, by number from the arm's base, that are not neighbours although their distance
 #: hardly depends on the joints: base and upper arm, forearm and wrist_2, wrist_1 and wrist_3 or
 #: the tool, wrist_2 and the tool.
-ALWAYS_NEAR = frozenset({(0, 2), (3, 5), (4, 6), (4, 7), (5, 7)})
+UNCHECKED_PAIRS = frozenset({(0, 2), (3, 5), (4, 6), (4, 7), (5, 7)})
 
 
 class BodyGeometry:
-    """Distances of the surfaces of the robot's parts from one another and from solids.
+    """Distances of the surfaces of the robot's parts from one another and from obstacles.
 
     The platform is a box with the length and the width of the body, or a prism with the body's
     outline, from the floor to the upper side of the deck. Links of the arm and the tool are
     capsules. The load is a box. Where two parts overlap, their distance is minus the depth, if
     that is less than the radius of a capsule; deeper, it is minus the radius. Between platform and
-    load, and from solids, it is zero then.
+    load, and from obstacles, it is zero then.
 
     Attributes:
         pairs: Names of the two parts of each pair that may collide.
-        levers: (P, 6) largest travel of one part of each pair relative to the other, per angle of
-            each joint [m/rad].
+        lever_arms: (P, 6) largest travel of one part of each pair relative to the other, per angle
+            of each joint [m/rad].
         part_radii: (N,) bounds of the horizontal distance of each part's points from the z axis of
             base_link, at all joint angles [m].
         part_levers: (N, 6) largest travel of each part relative to the platform, per angle of each
@@ -64,7 +64,7 @@ class BodyGeometry:
         self._platform = platform_body(robot.body, heights)
         self.parts: tuple[str, ...] = (PLATFORM,)
         self.pairs: tuple[tuple[str, str], ...] = ()
-        self.levers: Array = np.zeros((0, JOINTS))
+        self.lever_arms: Array = np.zeros((0, JOINTS))
         self.part_radii: Array = np.array([self._platform.radius])
         self.part_levers: Array = np.zeros((1, JOINTS))
         self._arm: ArmSegments | None = None
@@ -82,7 +82,7 @@ class BodyGeometry:
             (a, b, i, j)
             for i, a in enumerate(link.tolist())
             for j, b in enumerate(link.tolist())
-            if b - a > 1 and (a, b) not in ALWAYS_NEAR
+            if b - a > 1 and (a, b) not in UNCHECKED_PAIRS
         )
         self._first: Indices = np.array([i for _, _, i, _ in candidates])
         self._second: Indices = np.array([j for _, _, _, j in candidates])
@@ -93,24 +93,24 @@ class BodyGeometry:
         self.pairs = tuple((names[a], names[b]) for a, b in ends)
         self.pairs += tuple((PLATFORM, name) for name in names[RIGID_LINKS:])
         ends += [(0, link) for link in range(RIGID_LINKS, len(names))]
-        levers = [arm.levers(a, min(b, JOINTS), arm.extent(b)) for a, b in ends]
+        lever_arms = [arm.lever_arms(a, min(b, JOINTS), arm.extent(b)) for a, b in ends]
         if self._load is not None:
             self.parts += (LOAD,)
             others = (PLATFORM, *names[:LINKS_BEFORE_WRIST])
             self.pairs += tuple((name, LOAD) for name in others)
             firsts = (0, *range(LINKS_BEFORE_WRIST))
-            levers += [arm.levers(first, JOINTS, self._load.extent) for first in firsts]
-        self.levers = np.array(levers)
+            lever_arms += [arm.lever_arms(first, JOINTS, self._load.extent) for first in firsts]
+        self.lever_arms = np.array(lever_arms)
 
     def _bound_parts(self, arm: ArmSegments, offset: float) -> None:
         """Bound where the parts can be; the arm stands `offset` [m] from the z axis."""
         links = range(len(arm.names))
-        levers = [arm.levers(0, min(link, JOINTS), arm.extent(link)) for link in links]
+        lever_arms = [arm.lever_arms(0, min(link, JOINTS), arm.extent(link)) for link in links]
         if self._load is not None:
-            levers.append(arm.levers(0, JOINTS, self._load.extent))
-        self.part_levers = np.vstack((self.part_levers, levers))
+            lever_arms.append(arm.lever_arms(0, JOINTS, self._load.extent))
+        self.part_levers = np.vstack((self.part_levers, lever_arms))
         # Each link but the first turns about the upright axis of the first joint.
-        reach = np.maximum(np.array(levers)[:, 0], arm.extent(0))
+        reach = np.maximum(np.array(lever_arms)[:, 0], arm.extent(0))
         self.part_radii = np.append(self.part_radii, offset + reach)
 
     def self_distances(self, q: Array, reach: float = np.inf) -> Array:
@@ -152,49 +152,49 @@ class BodyGeometry:
         return np.concatenate(found, axis=-1)
 
     def distances(
-        self, poses: Array, q: Array, solids: UprightSolids, reach: float = np.inf
+        self, poses: Array, q: Array, obstacles: UprightObstacles, reach: float = np.inf
     ) -> Array:
-        """Return the distances (..., N, M) [m] of the N parts from M solids.
+        """Return the distances (..., N, M) [m] of the N parts from M obstacles.
 
-        Poses (..., 3) are those of base_link in the frame of the solids [m, m, rad]; joint angles
-        (..., 6) [rad] are not used without an arm. Distances above `reach` [m] may be too small,
-        but are not below it.
+        Poses (..., 3) are those of base_link in the frame of the obstacles [m, m, rad]; joint
+        angles (..., 6) [rad] are not used without an arm. Distances above `reach` [m] may be too
+        small, but are not below it.
 
         Raises:
             InputError: A pose or an angle is not finite.
         """
         _require_finite("poses", poses)
-        found = [self._platform.distances_from_solids(poses, solids)[..., None, :]]
+        found = [self._platform.distances_from_obstacles(poses, obstacles)[..., None, :]]
         arm = self._arm
         if arm is not None:
             _require_finite("joint angles", q)
             frames = planar_transform(poses)[..., None, :, :] @ arm.frames(q)
             axes = arm.capsules(frames)
-            found.append(self._arm_distances(arm, axes, solids, reach))
+            found.append(self._arm_distances(arm, axes, obstacles, reach))
             if self._load is not None:
-                load = self._load.distances_from_solids(frames[..., -1, :, :], solids, reach)
+                load = self._load.distances_from_obstacles(frames[..., -1, :, :], obstacles, reach)
                 found.append(load[..., None, :])
         return np.concatenate(found, axis=-2)
 
     def _arm_distances(
-        self, arm: ArmSegments, axes: Segments, solids: UprightSolids, reach: float
+        self, arm: ArmSegments, axes: Segments, obstacles: UprightObstacles, reach: float
     ) -> Array:
-        """Return the distances (..., L, M) of the arm's links from solids [m].
+        """Return the distances (..., L, M) of the arm's links from obstacles [m].
 
-        Only solids that are near the whole arm are looked at closely.
+        Only obstacles that are near the whole arm are looked at closely.
         """
         far = reach + arm.radius.max()
         batch, segments = axes.start.shape[1:-1], axes.start.shape[-1]
         start, end = (points.reshape(3, -1, segments) for points in (axes.start, axes.end))
         centre, radius = Segments(start, end).sphere()
-        bound = solids.point_distances(centre[..., None]) - radius[:, None] - arm.radius.max()
+        bound = obstacles.point_distances(centre[..., None]) - radius[:, None] - arm.radius.max()
         result = np.repeat(bound[:, None], len(arm.names), axis=1)
-        configuration, solid = np.nonzero(bound <= reach)
+        configuration, obstacle = np.nonzero(bound <= reach)
         start, end = (np.swapaxes(points[:, configuration], 1, 2) for points in (start, end))
-        each = solids.select(solid).distances(start, end, far) - arm.radius[:, None]
+        each = obstacles.select(obstacle).distances(start, end, far) - arm.radius[:, None]
         least = np.minimum.reduceat(each, self._link_begins, axis=0)
-        result[configuration, :, solid] = least.T
-        return result.reshape(*batch, len(arm.names), len(solids))
+        result[configuration, :, obstacle] = least.T
+        return result.reshape(*batch, len(arm.names), len(obstacles))
 
 
 def _begins(labels: list[object]) -> Indices:
@@ -218,7 +218,7 @@ class PlatformBox:
     def __init__(self, length: float, width: float, heights: tuple[float, float]) -> None:
         self._half: Array = np.array((0.5 * length, 0.5 * width))
         self._heights = heights
-        self._box = UprightSolids.box((0.0, 0.0, 0.0), length, width, heights)
+        self._box = UprightObstacles.box((0.0, 0.0, 0.0), length, width, heights)
         self.radius = float(np.hypot(*self._half))
 
     def distances_from_segments(self, start: Array, end: Array, reach: float) -> Array:
@@ -230,15 +230,15 @@ class PlatformBox:
 
     def distances_from_load(self, load: LoadBox, flange: Array, reach: float) -> Array:
         """Return the distances (...) from a load at poses (..., 4, 4) of the flange [m]."""
-        return load.distances_from_solids(flange, self._box, reach)[..., 0]
+        return load.distances_from_obstacles(flange, self._box, reach)[..., 0]
 
-    def distances_from_solids(self, poses: Array, solids: UprightSolids) -> Array:
-        """Return the distances (..., M) from solids at poses (..., 3) in their frame [m].
+    def distances_from_obstacles(self, poses: Array, obstacles: UprightObstacles) -> Array:
+        """Return the distances (..., M) from obstacles at poses (..., 3) in their frame [m].
 
         Args:
-            poses: Poses (..., 3) of base_link in the frame of the solids [m, m, rad].
+            poses: Poses (..., 3) of base_link in the frame of the obstacles [m, m, rad].
         """
-        return solids.box_distances(poses, self._half, self._heights)
+        return obstacles.box_distances(poses, self._half, self._heights)
 
 
 class PlatformPrism:
@@ -275,24 +275,24 @@ class PlatformPrism:
         result: Array = np.min(each, axis=0)
         return result
 
-    def distances_from_solids(self, poses: Array, solids: UprightSolids) -> Array:
-        """Return the distances (..., M) from M solids; zero where they meet [m]."""
-        apart = self._distances_from_rectangles(poses, solids)
-        horizontal = np.maximum(apart - solids.rounding, 0.0)
+    def distances_from_obstacles(self, poses: Array, obstacles: UprightObstacles) -> Array:
+        """Return the distances (..., M) from M obstacles; zero where they meet [m]."""
+        apart = self._distances_from_rectangles(poses, obstacles)
+        horizontal = np.maximum(apart - obstacles.rounding, 0.0)
         bottom, top = self._heights
-        vertical = np.maximum(np.maximum(solids.lower - top, bottom - solids.upper), 0.0)
+        vertical = np.maximum(np.maximum(obstacles.lower - top, bottom - obstacles.upper), 0.0)
         result: Array = np.hypot(horizontal, vertical)
         return result
 
-    def _distances_from_rectangles(self, poses: Array, solids: UprightSolids) -> Array:
-        """Return the horizontal distances (..., M) from solids without their rounding [m]."""
+    def _distances_from_rectangles(self, poses: Array, obstacles: UprightObstacles) -> Array:
+        """Return the horizontal distances (..., M) from obstacles without their rounding [m]."""
         c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
-        dx, dy = (solids.centre[i] - poses[..., i, None] for i in (0, 1))
+        dx, dy = (obstacles.centre[i] - poses[..., i, None] for i in (0, 1))
         # Centres and directions of the rectangles in base_link.
         x, y = c * dx + s * dy, c * dy - s * dx
-        yaw = solids.yaw - poses[..., 2, None]
+        yaw = obstacles.yaw - poses[..., 2, None]
         c, s = np.cos(yaw), np.sin(yaw)
-        length, width = solids.half
+        length, width = obstacles.half
         corners = [
             (x + i * length * c - j * width * s, y + i * length * s + j * width * c)
             for i in (-1.0, 1.0)
@@ -316,8 +316,10 @@ class PlatformPrism:
             )
             ex, ey = bx - ax, by - ay
             for px, py in corners:
-                share = np.clip(((px - ax) * ex + (py - ay) * ey) / (ex * ex + ey * ey), 0.0, 1.0)
-                gx, gy = px - ax - share * ex, py - ay - share * ey
+                fraction = np.clip(
+                    ((px - ax) * ex + (py - ay) * ey) / (ex * ex + ey * ey), 0.0, 1.0
+                )
+                gx, gy = px - ax - fraction * ex, py - ay - fraction * ey
                 np.minimum(squared, gx * gx + gy * gy, out=squared)
             if ay != by:
                 crosses = (ay > y) != (by > y)

@@ -40,9 +40,9 @@ class BodyOutline:
         self._load = LoadBox(load) if load is not None and load.is_carried else None
         last = len(self._arm.names) - 1
         extent = max(self._arm.extent(last), self._load.extent if self._load else 0.0)
-        self._lever = float(self._arm.levers(0, JOINTS, extent).max())
+        self._lever_arm = float(self._arm.lever_arms(0, JOINTS, extent).max())
 
-    def footprint(self, postures: Array, margin: float) -> Footprint:
+    def footprint(self, configurations: Array, margin: float) -> Footprint:
         """Return the footprint of the robot while its arm goes through postures (k, 6) [rad].
 
         Between two postures the joints move along a straight line. A point of the arm is then
@@ -59,18 +59,22 @@ class BodyOutline:
         """
         if not self.has_arm:
             return Footprint(self._platform, self._heights, None, margin)
-        if postures.ndim != 2 or postures.shape[1] != JOINTS or not len(postures):
-            raise InputError(f"postures have shape {postures.shape}, expected (k, {JOINTS})")
-        if not np.isfinite(postures).all():
+        if (
+            configurations.ndim != 2
+            or configurations.shape[1] != JOINTS
+            or not len(configurations)
+        ):
+            raise InputError(f"postures have shape {configurations.shape}, expected (k, {JOINTS})")
+        if not np.isfinite(configurations).all():
             raise InputError("joint angles must be finite")
-        return Footprint(self._platform, self._heights, self._limbs(postures), margin)
+        return Footprint(self._platform, self._heights, self._limbs(configurations), margin)
 
-    def _limbs(self, postures: Array) -> Limbs:
+    def _limbs(self, configurations: Array) -> Limbs:
         """Return the limbs in all postures (k, 6) and between them."""
-        kept = _simplified(postures)
+        kept = _simplified(configurations)
         fine = _refined(kept)
-        sag = 0.125 * self._lever * SWEEP_ANGLE**2 if len(fine) > 1 else 0.0
-        sag += self._lever * DEVIATION if len(kept) < len(postures) else 0.0
+        sag = 0.125 * self._lever_arm * SWEEP_ANGLE**2 if len(fine) > 1 else 0.0
+        sag += self._lever_arm * DEVIATION if len(kept) < len(configurations) else 0.0
         arm, count = self._arm, len(fine)
         frames = arm.frames(fine)
         axes = arm.capsules(frames)
@@ -87,31 +91,35 @@ class BodyOutline:
         )
 
 
-def _simplified(postures: Array) -> Array:
+def _simplified(configurations: Array) -> Array:
     """Return postures (n, 6) on straight lines to DEVIATION, by Douglas and Peucker."""
-    way = np.abs(np.diff(postures, axis=0)).sum(axis=1)
+    way = np.abs(np.diff(configurations, axis=0)).sum(axis=1)
     along = np.concatenate([[0.0], np.cumsum(way)])
-    kept, open_parts = {0, len(postures) - 1}, [(0, len(postures) - 1)]
+    kept, open_parts = {0, len(configurations) - 1}, [(0, len(configurations) - 1)]
     while open_parts:
         first, last = open_parts.pop()
         if last - first < 2:
             continue
         length = max(along[last] - along[first], np.finfo(float).tiny)
-        share = (along[first + 1 : last] - along[first]) / length
-        line = postures[first] + share[:, None] * (postures[last] - postures[first])
-        off = np.abs(postures[first + 1 : last] - line).sum(axis=1)
+        fraction = (along[first + 1 : last] - along[first]) / length
+        line = configurations[first] + fraction[:, None] * (
+            configurations[last] - configurations[first]
+        )
+        off = np.abs(configurations[first + 1 : last] - line).sum(axis=1)
         worst = int(off.argmax())
         if off[worst] > DEVIATION:
             middle = first + 1 + worst
             kept.add(middle)
             open_parts += [(first, middle), (middle, last)]
-    return postures[sorted(kept)]
+    return configurations[sorted(kept)]
 
 
-def _refined(postures: Array) -> Array:
+def _refined(configurations: Array) -> Array:
     """Return postures (n, 6), between two of which the joints rotate by at most SWEEP_ANGLE."""
-    sums = np.abs(np.diff(postures, axis=0)).sum(axis=1)
+    sums = np.abs(np.diff(configurations, axis=0)).sum(axis=1)
     along = np.concatenate([[0.0], np.cumsum(np.ceil(sums / SWEEP_ANGLE))])
     steps = np.arange(along[-1] + 1.0)
     keep = np.concatenate([[True], np.diff(along) > 0.0])
-    return np.column_stack([np.interp(steps, along[keep], axis[keep]) for axis in postures.T])
+    return np.column_stack(
+        [np.interp(steps, along[keep], axis[keep]) for axis in configurations.T]
+    )

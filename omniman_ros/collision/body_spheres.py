@@ -46,8 +46,8 @@ class BodySpheres:
         counts = np.maximum(np.ceil(lengths / spacing), 1.0).astype(np.intp)
         owner = np.repeat(np.arange(len(counts)), counts)
         index = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-        share = (index + 0.5) / counts[owner]
-        middle = axes.start[:, owner] + share * (axes.end - axes.start)[:, owner]
+        fraction = (index + 0.5) / counts[owner]
+        middle = axes.start[:, owner] + fraction * (axes.end - axes.start)[:, owner]
         radius = np.hypot(arm.radius[owner], 0.5 * lengths[owner] / counts[owner])
         part = arm.link[owner]
         self.names: tuple[str, ...] = arm.names
@@ -79,12 +79,13 @@ class BodySpheres:
         """Return the derivatives (..., S, 3, 6) of the centres by the joint angles [m/rad]."""
         axis = placed.frames[..., :-1, :3, 2]
         origin = placed.frames[..., :-1, :3, 3]
-        lever = placed.centre[..., :, None, :] - origin[..., None, :, :]
+        lever_arm = placed.centre[..., :, None, :] - origin[..., None, :, :]
         axis = axis[..., None, :, :] * (np.arange(JOINTS) < self.frame[:, None])[..., None]
-        result = np.empty((*lever.shape[:-2], 3, JOINTS))
+        result = np.empty((*lever_arm.shape[:-2], 3, JOINTS))
         for row, first, second in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axes x levers
             result[..., row, :] = (
-                axis[..., first] * lever[..., second] - axis[..., second] * lever[..., first]
+                axis[..., first] * lever_arm[..., second]
+                - axis[..., second] * lever_arm[..., first]
             )
         return result
 

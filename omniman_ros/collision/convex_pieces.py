@@ -16,14 +16,16 @@ def convex_pieces(corners: Array) -> list[Array]:
     return [corners[piece] for piece in pieces]
 
 
-def _turn(corners: Array, a: int, b: int, c: int) -> float:
+def _rotated(corners: Array, a: int, b: int, c: int) -> float:
     """Return twice the area of a triangle [m^2], above zero if it is counter-clockwise."""
     (ax, ay), (bx, by), (cx, cy) = corners[[a, b, c]].tolist()
     return float((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
 
 
 def _is_convex(corners: Array, ring: Ring) -> bool:
-    return all(_turn(corners, ring[k - 2], ring[k - 1], ring[k]) >= 0.0 for k in range(len(ring)))
+    return all(
+        _rotated(corners, ring[k - 2], ring[k - 1], ring[k]) >= 0.0 for k in range(len(ring))
+    )
 
 
 def _triangles(corners: Array, ring: Ring) -> list[Ring]:
@@ -32,7 +34,7 @@ def _triangles(corners: Array, ring: Ring) -> list[Ring]:
     while len(left) > 3:
         k = next(k for k in range(len(left)) if _is_ear(corners, left, k))
         ear = [left[k - 2], left[k - 1], left[k]]
-        if _turn(corners, *ear) > 0.0:
+        if _rotated(corners, *ear) > 0.0:
             found.append(ear)
         del left[k - 1]
     return [*found, left]
@@ -41,11 +43,12 @@ def _triangles(corners: Array, ring: Ring) -> list[Ring]:
 def _is_ear(corners: Array, ring: Ring, k: int) -> bool:
     """Return whether the corner before number k can be cut off."""
     a, b, c = ring[k - 2], ring[k - 1], ring[k]
-    turn = _turn(corners, a, b, c)
+    turn = _rotated(corners, a, b, c)
     if turn <= 0.0:
         return turn == 0.0
     return not any(
-        min(_turn(corners, a, b, p), _turn(corners, b, c, p), _turn(corners, c, a, p)) >= 0.0
+        min(_rotated(corners, a, b, p), _rotated(corners, b, c, p), _rotated(corners, c, a, p))
+        >= 0.0
         for p in ring
         if p not in (a, b, c)
     )

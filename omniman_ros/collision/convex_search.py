@@ -1,4 +1,4 @@
-"""Distances of line segments from convex solids, by a search along the segments.
+"""Distances of line segments from convex obstacles, by a search along the segments.
 
 The first axis of an array of points holds their three coordinates.
 """
@@ -12,12 +12,12 @@ from omniman_ros.collision.segments import dot
 from omniman_ros.core.arrays import Array
 
 Indices = NDArray[np.intp]  #: Array of indices
-#: Returns the vectors (3, n) to n points (3, n) from the nearest points of n convex solids [m]
+#: Returns the vectors (3, n) to n points (3, n) from the nearest points of n convex obstacles [m]
 Outward = Callable[[Array], Array]
 ACCURACY = 1e-8  #: Accuracy of distances [m]
 MOST_STEPS = 100  #: Largest number of steps of the search along a segment; about 10 are usual
-#: Share of segments that are not yet done at which the others are left out of further steps
-KEPT_SHARE = 0.75
+#: Fraction of segments that are not yet done at which the others are left out of further steps
+UNFINISHED_FRACTION = 0.75
 
 
 def distances_along(
@@ -25,25 +25,25 @@ def distances_along(
     bound: Array,
     start: Array,
     along: Array,
-    reach: Array | float,
+    cutoff: Array | float,
 ) -> Array:
-    """Return the distances (...) between segments and convex solids; zero where they meet [m].
+    """Return the distances (...) between segments and convex obstacles; zero where they meet [m].
 
     The distance from a convex solid is a convex function of the place on the segment. Where its
     slope changes sign between the ends, the false position method (Illinois) finds the minimum; as
     the function is convex, the slope there bounds the error. Segments go from starts (3, ...)
-    along vectors (3, ...) to their ends [m]. Distances above `reach`, one or (...) [m], may be too
-    small, but are not below it.
+    along vectors (3, ...) to their ends [m]. Distances above `cutoff`, one or (...) [m], may be
+    too small, but are not below it.
 
     Args:
         outward: Returns a function for the n segments with indices, each (n,): the vectors to
-            points (3, n) from the solids, one for each of these segments.
+            points (3, n) from the obstacles, one for each of these segments.
         bound: Lower bounds (...) of the distances, not negative [m].
     """
     result = bound.copy()
-    near = np.nonzero(bound <= reach)
+    near = np.nonzero(bound <= cutoff)
     chosen: tuple[slice | Indices, ...] = (slice(None), *near)
-    farthest = np.broadcast_to(reach, bound.shape)[near]
+    farthest = np.broadcast_to(cutoff, bound.shape)[near]
 
     def some(where: Indices) -> Outward:
         return outward(tuple(index[where] for index in near))
@@ -57,7 +57,7 @@ def _distances(
     some_outward: Callable[[Indices], Outward],
     start: Array,
     along: Array,
-    reach: Array,
+    cutoff: Array,
 ) -> Array:
     low, high = outward(start), outward(start + along)
     slope_low, slope_high = dot(low, along), dot(high, along)
@@ -67,7 +67,7 @@ def _distances(
     # Nothing changes by more than a segment's half length around its middle.
     middle = some_outward(where)(first + 0.5 * way)
     bound = np.sqrt(dot(middle, middle)) - 0.5 * np.sqrt(dot(way, way))
-    is_far = bound > reach[where]
+    is_far = bound > cutoff[where]
     squared[where[is_far]] = bound[is_far] ** 2
     left, where = ~is_far, where[~is_far]
     squared[where] = _least(
@@ -84,9 +84,9 @@ def _distances(
 def box_gaps(
     start: Array, end: Array, lower: Sequence[Array | float], upper: Sequence[Array | float]
 ) -> tuple[Array, Array, Array]:
-    """Return the gaps (...) between the bounding boxes of segments and solids along each axis [m].
+    """Return the gaps (...) between bounding boxes of segments and obstacles along each axis [m].
 
-    Segments have starts and ends (3, ...). The lower and upper corners of the solids' boxes are
+    Segments have starts and ends (3, ...). The lower and upper corners of the obstacles' boxes are
     given by coordinate, each of a shape that is broadcast to (...).
     """
     x, y, z = (
@@ -103,7 +103,7 @@ def _least(
     slope_low: Array,
     slope_high: Array,
 ) -> Array:
-    """Return the least squared distances (n,) of segments from their solids [m^2].
+    """Return the least squared distances (n,) of segments from their obstacles [m^2].
 
     Few segments need many steps: those that are done are left out of the further ones. Starts and
     vectors to the ends are (3, n) [m]. The slopes (n,) are those of half the squared distance,
@@ -130,7 +130,7 @@ def _least(
         open_count = int(np.count_nonzero(is_open))
         if open_count == 0:
             break
-        if open_count <= KEPT_SHARE * len(left):
+        if open_count <= UNFINISHED_FRACTION * len(left):
             left, start, along = left[is_open], start[:, is_open], along[:, is_open]
             low, high = low[is_open], high[is_open]
             slope_low, slope_high = slope_low[is_open], slope_high[is_open]

@@ -7,7 +7,7 @@ import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.collision.solids import Mask
+from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
 
 HEIGHT_STEP = 0.01  #: Step to which the heights of obstacles are rounded, outwards [m]

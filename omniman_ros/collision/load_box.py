@@ -5,7 +5,7 @@ import numpy as np
 from omniman_ros.collision.arm_segments import Segments
 from omniman_ros.collision.parameters import LoadShape
 from omniman_ros.collision.prism import ConvexPrism
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 
 #: Numbers (2, 12) of the corners at the ends of each edge of a box: bit k of a corner's number is
@@ -23,7 +23,7 @@ class LoadBox:
 
     def __init__(self, shape: LoadShape) -> None:
         near, far = shape.distance, shape.distance + shape.height
-        self._box = UprightSolids.box((0.0, 0.0, 0.0), shape.length, shape.width, (near, far))
+        self._box = UprightObstacles.box((0.0, 0.0, 0.0), shape.length, shape.width, (near, far))
         self._corners = box_corners(self._box)[:, 0]
         self.extent = float(np.linalg.norm(self._corners, axis=0).max())
 
@@ -33,24 +33,28 @@ class LoadBox:
         corners = np.moveaxis(rotation @ self._corners + origin[..., None], -2, 0)
         return Segments(corners[..., EDGES[0]], corners[..., EDGES[1]])
 
-    def distances(self, flange: Array, segments: Segments, reach: float) -> Array:
+    def distances(self, flange: Array, segments: Segments, cutoff: float) -> Array:
         """Return the distances (..., S) of segments (3, ..., S) from the load [m].
 
-        The flange has poses (..., 4, 4); above `reach` [m] a lower bound is enough.
+        The flange has poses (..., 4, 4); above `cutoff` [m] a lower bound is enough.
         """
         start, end = (_in_frame(flange, points) for points in (segments.start, segments.end))
-        return self._box.distances(start[..., None], end[..., None], reach)[..., 0]
+        return self._box.distances(start[..., None], end[..., None], cutoff)[..., 0]
 
-    def distances_from_solids(self, flange: Array, solids: UprightSolids, reach: float) -> Array:
-        """Return the distances (..., M) of solids from the load [m].
+    def distances_from_obstacles(
+        self, flange: Array, obstacles: UprightObstacles, cutoff: float
+    ) -> Array:
+        """Return the distances (..., M) of obstacles from the load [m].
 
         That of a rounded solid may be too small by its rounding where a side of the load, not an
-        edge, is the nearest. The flange has poses (..., 4, 4) in the frame of the solids; above
-        `reach` [m] a lower bound is enough.
+        edge, is the nearest. The flange has poses (..., 4, 4) in the frame of the obstacles; above
+        `cutoff` [m] a lower bound is enough.
         """
         edges = self.edges(flange)
-        own = solids.distances(edges.start[..., None], edges.end[..., None], reach).min(axis=-2)
-        corners = box_corners(solids)
+        own = obstacles.distances(edges.start[..., None], edges.end[..., None], cutoff).min(
+            axis=-2
+        )
+        corners = box_corners(obstacles)
         of_solids = Segments(*(corners[..., EDGES[k]].reshape(3, -1) for k in (0, 1)))
         shape = (3, *flange.shape[:-2], of_solids.start.shape[-1])
         start, end = (
@@ -58,41 +62,41 @@ class LoadBox:
             for points in (of_solids.start, of_solids.end)
         )
         other = self.distances(
-            flange, Segments(start, end), reach + solids.rounding.max(initial=0)
+            flange, Segments(start, end), cutoff + obstacles.rounding.max(initial=0)
         )
-        other = other.reshape(*flange.shape[:-2], len(solids), len(EDGES[0])).min(axis=-1)
-        result: Array = np.minimum(own, np.maximum(other - solids.rounding, 0.0))
+        other = other.reshape(*flange.shape[:-2], len(obstacles), len(EDGES[0])).min(axis=-1)
+        result: Array = np.minimum(own, np.maximum(other - obstacles.rounding, 0.0))
         return result
 
-    def distances_from_prism(self, flange: Array, prism: ConvexPrism, reach: float) -> Array:
+    def distances_from_prism(self, flange: Array, prism: ConvexPrism, cutoff: float) -> Array:
         """Return the distances (...) of a prism from the load [m].
 
-        The flange has poses (..., 4, 4) in its frame; above `reach` [m] a lower bound is enough.
+        The flange has poses (..., 4, 4) in its frame; above `cutoff` [m] a lower bound is enough.
         """
         edges = self.edges(flange)
-        own = prism.distances(edges.start, edges.end, reach).min(axis=-1)
+        own = prism.distances(edges.start, edges.end, cutoff).min(axis=-1)
         shape = (3, *flange.shape[:-2], prism.edges.start.shape[-1])
         start, end = (
             np.broadcast_to(points.reshape(3, *(1,) * (flange.ndim - 2), -1), shape)
             for points in (prism.edges.start, prism.edges.end)
         )
-        other = self.distances(flange, Segments(start, end), reach).min(axis=-1)
+        other = self.distances(flange, Segments(start, end), cutoff).min(axis=-1)
         result: Array = np.minimum(own, other)
         return result
 
 
-def box_corners(solids: UprightSolids) -> Array:
-    """Return the corners (3, M, 8) of solids without their rounding [m]."""
+def box_corners(obstacles: UprightObstacles) -> Array:
+    """Return the corners (3, M, 8) of obstacles without their rounding [m]."""
     side = np.array(
         [[1.0 if number >> axis & 1 else -1.0 for number in range(8)] for axis in range(3)]
     )
-    c, s = np.cos(solids.yaw)[:, None], np.sin(solids.yaw)[:, None]
-    along, across = (solids.half[k][:, None] * side[k] for k in (0, 1))
+    c, s = np.cos(obstacles.yaw)[:, None], np.sin(obstacles.yaw)[:, None]
+    along, across = (obstacles.half[k][:, None] * side[k] for k in (0, 1))
     return np.stack(
         (
-            solids.centre[0][:, None] + c * along - s * across,
-            solids.centre[1][:, None] + s * along + c * across,
-            np.where(side[2] > 0.0, solids.upper[:, None], solids.lower[:, None]),
+            obstacles.centre[0][:, None] + c * along - s * across,
+            obstacles.centre[1][:, None] + s * along + c * across,
+            np.where(side[2] > 0.0, obstacles.upper[:, None], obstacles.lower[:, None]),
         )
     )
 

@@ -9,27 +9,27 @@ from numpy.typing import NDArray
 
 from omniman_ros.collision.body_geometry import BodyGeometry
 from omniman_ros.collision.curve import curve_poses
+from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.collision.speed_limits import SpeedLimits
-from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.collision.unseen import (
     Arrivals,
-    UnseenLimit,
+    OcclusionLimit,
     UnseenLimitParameters,
     unseen_limit,
 )
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 
 #: Number of intervals into which the predicted motion is divided; they grow with the distance
 STEPS = 12
-RESTING = 1e-3  #: Share of the speed limits up to which a motion counts as rest
-#: Share of the speed limits at which the robot at least passes the predicted motion, as far as the
-#: motion of obstacles is concerned: at rest it would never come to where it goes.
+RESTING = 1e-3  #: Fraction of the speed limits up to which a motion counts as rest
+#: Fraction of the speed limits at which the robot at least passes the predicted motion, as far as
+#: the motion of obstacles is concerned: at rest it would never come to where it goes.
 SLOWEST_PASS = 0.1
-#: Number of moving solids, each counted once for each time, with which distances are computed
-#: together: a few calls cost less than many, and superfluous pairs of poses and solids more.
+#: Number of moving obstacles, each counted once for each time, with which distances are computed
+#: together: a few calls cost less than many, and superfluous pairs of poses and obstacles more.
 COPIES = 40
 TOLERANCE = 1e-6  #: Decrease of a distance that is rounding [m]
 
@@ -85,13 +85,13 @@ class Encounter:
     """What limits the speed."""
 
     part: str  #: Name of the robot's part
-    solid: int  #: Index of the solid among the surroundings
+    obstacle: int  #: Index of the obstacle among the surroundings
     distance: float  #: Present distance between the two [m]
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """Largest share of the speed limits, 0 to 1, for platform and arm, and why."""
+    """Largest fraction of the speed limits, 0 to 1, for platform and arm, and why."""
 
     platform: float = 1.0  #: Share for the platform
     arm: float = 1.0  #: Share for the arm
@@ -116,9 +116,9 @@ class CollisionMonitor:
     direction of its motion only, and how far it gets on the curve on its speed. Each direction in
     which the robot moves, or is asked to move, is followed at full speed, in `STEPS` intervals.
     The time after which the robot would be nearer to something than the margin, the free time,
-    gives the share of full speed that is allowed: the free time over `slow_down_time`, and at most
-    the share s from which the robot can stop within it. In the reaction time T and the time B of a
-    stop from full speed it gets as far as in s T + s^2 B / 2 at full speed.
+    gives the fraction of full speed that is allowed: the free time over `slow_down_time`, and at
+    most the share s from which the robot can stop within it. In the reaction time T and the time B
+    of a stop from full speed it gets as far as in s T + s^2 B / 2 at full speed.
 
     Between two samples, the square of the distance d of two convex bodies that move relative to
     one another by h is at most h^2 / 4 below that at the nearer sample: its second derivative is
@@ -137,7 +137,7 @@ class CollisionMonitor:
         self.geometry, self.limits, self.parameters = geometry, limits, parameters
 
     def limit(
-        self, robot: RobotMotion, demands: Sequence[Array], surroundings: Surroundings
+        self, robot: RobotMotion, demands: Sequence[Array], surroundings: MovingObstacles
     ) -> SpeedLimit:
         """Return the limit of the speed; of the demands (9,), only the directions count.
 
@@ -151,7 +151,7 @@ class CollisionMonitor:
         stop_times = np.array([self.limits.stop_time(motion) for motion in full])
         p = self.parameters
         horizon = max(p.slow_down_time, p.reaction_time + 0.5 * float(stop_times.max()))
-        speed = max(self.limits.share(robot.motion), SLOWEST_PASS)
+        speed = max(self.limits.fraction(robot.motion), SLOWEST_PASS)
         time_left = p.reaction_time + self.limits.stop_time(robot.motion)
         far = float(self.geometry.part_radii.max()) + 2.0 * p.margin
         far += horizon * self.limits.velocity[0]
@@ -177,7 +177,7 @@ class CollisionMonitor:
         arrivals: Arrivals,
         outline: Rectangles,
         parameters: UnseenLimitParameters,
-    ) -> UnseenLimit:
+    ) -> OcclusionLimit:
         """Return the platform's speed limit by what is not seen, at least creeping speed."""
         courses = [
             (course.motion[:3], self.limits.stop_time(course.motion))
@@ -192,7 +192,7 @@ class CollisionMonitor:
             parameters.person.radius,
             self.parameters.reaction_time,
         )
-        return replace(found, share=max(found.share, parameters.creep_speed))
+        return replace(found, fraction=max(found.fraction, parameters.creep_speed))
 
     def _courses(self, motions: Sequence[Array]) -> Iterator[_Course]:
         """Yield the motions at full speed: of the platform, of the arm, and of both together."""
@@ -200,11 +200,11 @@ class CollisionMonitor:
             platform, arm = motion.copy(), motion.copy()
             platform[3:] = arm[:3] = 0.0
             parts = [(platform, True, False), (arm, False, True)]
-            moving = [part for part in parts if self.limits.share(part[0]) > RESTING]
+            moving = [part for part in parts if self.limits.fraction(part[0]) > RESTING]
             if len(moving) == 2:
                 moving.append((motion, True, True))
             for part, is_platform, is_arm in moving:
-                yield _Course(part / self.limits.share(part), is_platform, is_arm)
+                yield _Course(part / self.limits.fraction(part), is_platform, is_arm)
 
     def _judge(
         self,
@@ -213,58 +213,58 @@ class CollisionMonitor:
         prediction: "_Prediction",
         indices: NDArray[np.intp],
     ) -> SpeedLimit:
-        """Return the limit from the predicted distances of the solids with these indices."""
+        """Return the limit from the predicted distances of the obstacles with these indices."""
         platform = arm = least = 1.0
         culprit: tuple[int, int] | None = None
         for course, stop_time, free in zip(
             courses, stop_times.tolist(), prediction.free_times(), strict=True
         ):
-            share = self._share(free.time, stop_time)
-            platform = min(platform, share) if course.is_platform else platform
-            arm = min(arm, share) if course.is_arm else arm
-            if share < least:
-                least, culprit = share, free.pair
+            fraction = self._fraction(free.time, stop_time)
+            platform = min(platform, fraction) if course.is_platform else platform
+            arm = min(arm, fraction) if course.is_arm else arm
+            if fraction < least:
+                least, culprit = fraction, free.pair
         now = prediction.present
         in_contact = bool((now <= 0.0).any())
         if in_contact:
             bound = self.parameters.contact_speed
             platform, arm = min(platform, bound), min(arm, bound)
             if bound <= least:
-                part, solid = np.argwhere(now <= 0.0)[0]
-                culprit = int(part), int(solid)
+                part, obstacle = np.argwhere(now <= 0.0)[0]
+                culprit = int(part), int(obstacle)
         if culprit is None:
             return SpeedLimit(platform, arm, None, in_contact)
-        part, solid = culprit
+        part, obstacle = culprit
         encounter = Encounter(
-            self.geometry.parts[part], int(indices[solid]), float(now[part, solid])
+            self.geometry.parts[part], int(indices[obstacle]), float(now[part, obstacle])
         )
         return SpeedLimit(platform, arm, encounter, in_contact)
 
-    def _share(self, free_time: float, stop_time: float) -> float:
+    def _fraction(self, free_time: float, stop_time: float) -> float:
         if free_time == math.inf:
             return 1.0
         p = self.parameters
         half = 0.5 * p.reaction_time
         # s T + s^2 B / 2 = free time, in a form without a difference of nearly equal numbers.
         stopping = free_time / (half + math.sqrt(half * half + 0.5 * stop_time * free_time))
-        share = min(1.0, free_time / p.slow_down_time, stopping)
-        return share if share > RESTING else 0.0
+        fraction = min(1.0, free_time / p.slow_down_time, stopping)
+        return fraction if fraction > RESTING else 0.0
 
 
 @dataclass(frozen=True)
 class _FreeTime:
-    """Time at full speed until something is too near, and the part and the solid that are."""
+    """Time at full speed until something is too near, and the part and the obstacle that are."""
 
     time: float
     pair: tuple[int, int] | None
 
 
 class _Prediction:
-    """Distances of the robot's parts from M solids, along C courses (C, 9) at full speed.
+    """Distances of the robot's parts from M obstacles, along C courses (C, 9) at full speed.
 
     Times (K,) are at full speed, the first is zero; `time_left` is that after which the robot
-    could be at rest, so that nothing moves on [s]. Solids that move are met at a share of full
-    speed. The present distances are (N, M) [m].
+    could be at rest, so that nothing moves on [s]. Obstacles that move are met at a fraction of
+    full speed. The present distances are (N, M) [m].
     """
 
     def __init__(
@@ -273,19 +273,19 @@ class _Prediction:
         robot: RobotMotion,
         courses: Array,
         times: Array,
-        surroundings: Surroundings,
+        surroundings: MovingObstacles,
         speed: float,
         time_left: float,
         margin: float,
     ) -> None:
         passing = np.minimum(times / speed, time_left)
-        travel = (
+        displacement = (
             np.hypot(courses[:, 0], courses[:, 1])[:, None]
             + np.abs(courses[:, 2, None]) * geometry.part_radii
             + np.abs(courses[:, 3:]) @ geometry.part_levers.T
         )
         drift = np.diff(passing)[:, None, None] * np.hypot(*surroundings.velocity)
-        steps = np.diff(times)[:, None, None] * travel[:, None, :, None] + drift
+        steps = np.diff(times)[:, None, None] * displacement[:, None, :, None] + drift
         angles = np.abs(courses[:, 2]) + np.abs(courses[:, 3:]).sum(axis=1)
         turns = (angles[:, None] * np.diff(times))[..., None, None]
         self._bound = np.sqrt(margin * margin + 0.25 * steps * (steps + margin * turns))
@@ -295,26 +295,29 @@ class _Prediction:
         self._measure(geometry, surroundings, passing)
         self.present: Array = self._distances[0, 0]
 
-    def _measure(self, geometry: BodyGeometry, surroundings: Surroundings, passing: Array) -> None:
-        """Find the distances (C, K, N, M) while solids that move do so at times (K,) [s]."""
+    def _measure(
+        self, geometry: BodyGeometry, surroundings: MovingObstacles, passing: Array
+    ) -> None:
+        """Find the distances (C, K, N, M) while obstacles that move do so at times (K,) [s]."""
         poses, joints, reach = self._poses, self._joints, float(self._bound.max())
         is_moving = surroundings.is_moving
         parts = len(geometry.parts)
         self._distances: Array = np.empty((*poses.shape[:2], parts, len(surroundings)))
-        still = surroundings.select(~is_moving).solids
+        still = surroundings.select(~is_moving).obstacles
         if len(still):
             self._distances[..., ~is_moving] = geometry.distances(poses, joints, still, reach)
         moving = surroundings.select(is_moving)
         size = max(1, COPIES // max(len(moving), 1))
         for begin in range(0, len(passing) if len(moving) else 0, size):
-            # The solids at several times with the poses at these times: those of one time count.
+            # The obstacles at several times with the poses at these times: those of one time
+            # count.
             some = slice(begin, begin + size)
-            solids = [moving.after(time) for time in passing[some].tolist()]
+            obstacles = [moving.after(time) for time in passing[some].tolist()]
             found = geometry.distances(
-                poses[:, some], joints[:, some], UprightSolids.join(solids), reach
+                poses[:, some], joints[:, some], UprightObstacles.join(obstacles), reach
             )
-            found = found.reshape(*found.shape[:3], len(solids), len(moving))
-            k = np.arange(len(solids))
+            found = found.reshape(*found.shape[:3], len(obstacles), len(moving))
+            k = np.arange(len(obstacles))
             self._distances[:, some, :, is_moving] = np.moveaxis(found[:, k, :, k], 0, 1)
 
     def free_times(self) -> Iterator[_FreeTime]:

@@ -44,12 +44,12 @@ class ConvexPrism:
         # Vectors (K, n) from the nearest points of all sides.
         dx, dy = x - self._corner_x, y - self._corner_y
         is_inside = (self._side_x * dy >= self._side_y * dx).all(axis=0)
-        share = dx * self._share_x
-        share += dy * self._share_y
-        np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
-        dx -= share * self._side_x
-        dy -= share * self._side_y
-        squared = np.multiply(dx, dx, out=share)
+        fraction = dx * self._share_x
+        fraction += dy * self._share_y
+        np.minimum(np.maximum(fraction, 0.0, out=fraction), 1.0, out=fraction)
+        dx -= fraction * self._side_x
+        dy -= fraction * self._side_y
+        squared = np.multiply(dx, dx, out=fraction)
         squared += dy * dy
         nearest = squared.argmin(axis=0), np.arange(len(x))
         low, high = self._heights

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
-from omniman_ros.collision.solids import Mask
+from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Body
 from omniman_ros.description.platform_shape import platform_cover

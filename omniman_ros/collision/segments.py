@@ -29,7 +29,7 @@ def segment_distances(first: Array, first_end: Array, second: Array, second_end:
     tiny = np.finfo(np.float64).tiny
 
     def squared(s: Array | float, t: Array | float) -> Array:
-        """Return the squared distance of places s and t, as shares of the segments."""
+        """Return the squared distance of places s and t, as fractions of the segments."""
         result: Array = ww + s * (s * uu + 2.0 * uw) + t * (t * vv - 2.0 * vw) - 2.0 * s * t * uv
         return result
 

@@ -11,7 +11,7 @@ from omniman_ros.core.parameters import parameter
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
 #: Largest travel of a part relative to another between two samples of the first look [m]
-MAX_TRAVEL = 0.1
+MAX_DISPLACEMENT = 0.1
 #: How much nearer than at the start two parts may come that start within the margin [m]
 LEAVING = 0.001
 #: Largest number of samples of a motion; a motion that needs more is refused
@@ -100,10 +100,10 @@ class SelfCollisionCheck:
                 pair = int((distances - least)[first].argmin())
                 depth = float(distances[:, pair].min())
                 return Approach(body.pairs[pair], float(times[first]), depth)
-            travel = self._travel(curve, times)
+            displacement = self._displacement(curve, times)
             # The distance in between is at least this much below that at the ends.
-            bound = 0.5 * (distances[:-1] + distances[1:] - travel)
-            unproved = ((bound < least - 0.5 * margin) & (travel > 0.0)).any(axis=1)
+            bound = 0.5 * (distances[:-1] + distances[1:] - displacement)
+            unproved = ((bound < least - 0.5 * margin) & (displacement > 0.0)).any(axis=1)
             if not unproved.any():
                 return None
             if len(times) > MAX_SAMPLES:
@@ -114,9 +114,9 @@ class SelfCollisionCheck:
             distances = np.insert(distances, where, self._distances(curve, added), axis=0)
 
     def _first_look(self, curve: TimedCurve) -> Array:
-        """Return times [s] between which the parts travel by about `MAX_TRAVEL` at most."""
+        """Return times [s] between which the parts travel by about `MAX_DISPLACEMENT` at most."""
         times = np.linspace(0.0, curve.duration, 2 + min(len(curve.times), MAX_SAMPLES // 10))
-        pieces = np.ceil(self._travel(curve, times).max(axis=1) / MAX_TRAVEL)
+        pieces = np.ceil(self._displacement(curve, times).max(axis=1) / MAX_DISPLACEMENT)
         pieces = np.clip(pieces, 1, 1 + MAX_SAMPLES // len(times)).astype(np.intp)
         inner = [
             start + (end - start) * np.arange(count) / count
@@ -126,10 +126,10 @@ class SelfCollisionCheck:
 
     def _distances(self, curve: TimedCurve, times: Array) -> Array:
         """Return the distances (k, P) of all pairs at times (k,) [m]."""
-        reach = 2.0 * MAX_TRAVEL
+        reach = 2.0 * MAX_DISPLACEMENT
         return self._body.self_distances(curve.sample(times)[0][:, -6:], reach)
 
-    def _travel(self, curve: TimedCurve, times: Array) -> Array:
+    def _displacement(self, curve: TimedCurve, times: Array) -> Array:
         """Return bounds (k - 1, P) of the travel of the pairs' parts between times (k,) [m].
 
         The speed of a joint between two samples is at most the larger of those at the samples
@@ -139,4 +139,4 @@ class SelfCollisionCheck:
         dt = np.diff(times)[:, None]
         fastest = np.maximum(speed[:-1], speed[1:])
         fastest += 0.5 * dt * np.maximum(acceleration[:-1], acceleration[1:])
-        return dt * (fastest @ self._body.levers.T)
+        return dt * (fastest @ self._body.lever_arms.T)

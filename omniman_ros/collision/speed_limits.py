@@ -1,4 +1,4 @@
-"""Limits of the speed of platform and arm, and motions as shares of them."""
+"""Limits of the speed of platform and arm, and motions as fractions of them."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ class SpeedLimits:
     rate: Sequence[float]  #: Largest rate (6,) of each joint [rad/s]
     braking: Sequence[float]  #: Largest deceleration (6,) of each joint [rad/s^2]
 
-    def share(self, motion: Array) -> float:
+    def fraction(self, motion: Array) -> float:
         """Return the largest ratio of a motion (9,), twist and joint rates, to its limits.
 
         Args:

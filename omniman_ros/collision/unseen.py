@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from omniman_ros.collision.curve import curve_poses
 from omniman_ros.collision.parameters import PersonShape
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.collision.solids import Mask
+from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
 
 STEPS = 24  #: Number of intervals into which a stop from full speed is divided
-LEVELS = np.linspace(0.02, 1.0, 50)  #: Shares of full speed that are tried
+LEVELS = np.linspace(0.02, 1.0, 50)  #: Fractions of full speed that are tried
 MOST_CELLS = 1_000_000  #: Largest number of cells
 
 
 @dataclass(frozen=True)
 class Arrivals:
-    """How soon somebody whom nobody sees could be where.
+    """How soon an occluded pedestrian could be where.
 
     Raises:
         InputError: There are no cells or too many, a time is negative or NaN, or a length is not
@@ -54,15 +54,15 @@ class Arrivals:
         """Return the times from another time on, up to which nothing more was seen [s]."""
         return replace(self, times=np.maximum(self.times - time, 0.0))
 
-    def before(self, time: float, place: Array, distance: float) -> tuple[Array, Array]:
+    def before(self, time: float, position: Array, distance: float) -> tuple[Array, Array]:
         """Return the middles (M, 2) and times (M,) of cells where somebody could be soon.
 
         The cells are within a distance [m] of a place along either axis, and up to a time [s].
         """
         spans = []
         for k, count in ((1, self.times.shape[0]), (0, self.times.shape[1])):
-            first = (place[k] - distance - self.origin[k]) / self.resolution
-            last = (place[k] + distance - self.origin[k]) / self.resolution
+            first = (position[k] - distance - self.origin[k]) / self.resolution
+            last = (position[k] + distance - self.origin[k]) / self.resolution
             low, high = np.clip((math.floor(first), math.ceil(last)), 0, count).tolist()
             spans.append(slice(low, high))
         window = self.times[spans[0], spans[1]]
@@ -95,11 +95,11 @@ class UnseenLimitParameters:
 
 
 @dataclass(frozen=True)
-class UnseenLimit:
-    """Share of the speed limits, 0 to 1, and the place (2,) that it is for; None without one."""
+class OcclusionLimit:
+    """Fraction of the speed limits, 0 to 1, and the position (2,) it is for; None without one."""
 
-    share: float = 1.0
-    place: Array | None = None
+    fraction: float = 1.0
+    position: Array | None = None
 
 
 def unseen_limit(
@@ -109,8 +109,8 @@ def unseen_limit(
     courses: list[tuple[Array, float]],
     radius: float,
     reaction_time: float,
-) -> UnseenLimit:
-    """Return the largest share of full speed from which the robot stops before anybody unseen.
+) -> OcclusionLimit:
+    """Return the largest fraction of full speed from which the robot stops before anybody unseen.
 
     In a stop from the share s of full speed, which takes the time B from full speed, the robot
     goes on for the reaction time T. It gets as far on its curve as in s T + s^2 B / 2 at full
@@ -122,33 +122,33 @@ def unseen_limit(
     The pose (3,) is in the frame of the arrivals [m, m, rad]. Courses are twists (3,) at full
     speed [m/s, m/s, rad/s], each with the time B [s]; people have a radius [m].
     """
-    result = UnseenLimit()
+    result = OcclusionLimit()
     for twist, stop_time in courses:
         taus = (reaction_time + 0.5 * stop_time) * np.arange(STEPS + 1.0) / STEPS
         far = float(outline.radius.max()) + radius + taus[-1] * math.hypot(twist[0], twist[1])
-        places, times = arrivals.before(reaction_time + stop_time, pose, far)
-        first = _first_samples(outline, curve_poses(pose, twist, taus), places, radius)
+        positions, times = arrivals.before(reaction_time + stop_time, pose, far)
+        first = _first_samples(outline, curve_poses(pose, twist, taus), positions, radius)
         swept = first > 0
         conflict = _conflicts(taus, first[swept], times[swept], stop_time, reaction_time)
         is_bad = conflict.any(axis=1)
         if not is_bad.any():
             continue
         level = int(is_bad.argmax())
-        place = places[swept][int(conflict[level].argmax())]
-        found = UnseenLimit(float(LEVELS[level - 1]) if level else 0.0, place)
-        result = min(result, found, key=lambda limit: limit.share)
+        position = positions[swept][int(conflict[level].argmax())]
+        found = OcclusionLimit(float(LEVELS[level - 1]) if level else 0.0, position)
+        result = min(result, found, key=lambda limit: limit.fraction)
     return result
 
 
 def _first_samples(
-    outline: Rectangles, poses: Array, places: Array, radius: float
+    outline: Rectangles, poses: Array, positions: Array, radius: float
 ) -> NDArray[np.intp]:
     """Return the number (M,) of the first pose at which the robot touches somebody in a place.
 
     It is 0 also for those whom it never touches.
     """
     c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = (places[:, k] - poses[:, k, None] for k in (0, 1))
+    x, y = (positions[:, k] - poses[:, k, None] for k in (0, 1))
     local = np.stack((c * x + s * y, c * y - s * x), axis=-1)
     first: NDArray[np.intp] = (outline.distances(local) <= radius).argmax(axis=0)
     return first
@@ -170,15 +170,15 @@ def _conflicts(
 
 
 def _stopping_times(taus: Array, stop_time: float, reaction: float) -> Array:
-    """Return when the robot is in places while it stops from shares of full speed (L, M) [s].
+    """Return when the robot is in places while it stops from fractions of full speed (L, M) [s].
 
     At full speed it is there at `taus` (M,) [s]; beyond the way of a stop, its end counts.
     """
-    share = LEVELS[:, None]
-    rest = np.maximum(taus - share * reaction, 0.0)
+    fraction = LEVELS[:, None]
+    rest = np.maximum(taus - fraction * reaction, 0.0)
     scale = max(stop_time, 1e-9)
-    speed = np.sqrt(np.maximum(share * share - 2.0 * rest / scale, 0.0))
+    speed = np.sqrt(np.maximum(fraction * fraction - 2.0 * rest / scale, 0.0))
     result: Array = np.where(
-        taus <= share * reaction, taus / share, reaction + scale * (share - speed)
+        taus <= fraction * reaction, taus / fraction, reaction + scale * (fraction - speed)
     )
     return result

@@ -16,7 +16,7 @@ PREVIEW_POINTS = 13  #: Number of points of a preview, which spans 0.3 s
 PREVIEW_STEP = 0.025  #: Time between two points of a preview [s]
 
 
-class Motion(Protocol):
+class PlanarMotion(Protocol):
     """A motion of the platform as a function of time."""
 
     def sample(self, time: float) -> PlanarSample:
@@ -42,7 +42,7 @@ def preview_point(sample: PlanarSample, after: Duration) -> MultiDOFJointTraject
     )
 
 
-def preview_message(motion: Motion, now: Time, start: Time) -> MultiDOFJointTrajectory:
+def preview_message(motion: PlanarMotion, now: Time, start: Time) -> MultiDOFJointTrajectory:
     """Return a preview of the next 0.3 s of a motion, at rest from the end of the motion."""
     message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
     message.header.frame_id = "odom"

@@ -41,18 +41,18 @@ MIN_SPEED_ERROR = 0.3
 PROBE_PAUSE = 2.0  #: Time for which a wheel that has responded is not probed again [s]
 #: Signs of the four parts of a probe; they cancel any motion that the probe causes
 PROBE_SIGNS = (1.0, -1.0, -1.0, 1.0)
-#: Share of each part of a probe along the constraints in which the drive settles
-SETTLING_SHARE = 0.4
-#: Share of a wheel's torque along the constraints from which a probe uses them
-MIN_CONSTRAINT_SHARE = 0.15
+#: Fraction of each part of a probe along the constraints in which the drive settles
+SETTLING_FRACTION = 0.4
+#: Fraction of a wheel's torque along the constraints from which a probe uses them
+MIN_CONSTRAINT_FRACTION = 0.15
 MIN_REPORTS = 2  #: Number of reports that each part of a probe needs
-#: Share of the probe's torque that counts as a response, even in a single report
-RESPONSE_SHARE = 0.5
+#: Fraction of the probe's torque that counts as a response, even in a single report
+RESPONSE_FRACTION = 0.5
 
 
 @dataclass(frozen=True)
 class WheelHealthParameters:
-    """Thresholds of dead and blocked wheels; torques are shares of the wheel's largest torque."""
+    """Thresholds of dead and blocked wheels; torques are fractions of the largest torque."""
 
     asked_torque: float = parameter(
         0.01,
@@ -98,10 +98,10 @@ class WheelHealthParameters:
                 raise ParameterError(f"health.{name}", getattr(self, name), reason)
 
 
-def _open_share(model: PlatformKinematics) -> Array:
+def _open_fraction(model: PlatformKinematics) -> Array:
     """Return the share (n,) of each wheel's torque that the constraints leave open: diag(T+ T)."""
-    share: Array = np.einsum("ij,ji->i", model.T_pinv, model.T)
-    return share
+    fraction: Array = np.einsum("ij,ji->i", model.T_pinv, model.T)
+    return fraction
 
 
 def torque_probe(model: PlatformKinematics, wheel: int, torque: float) -> Array:
@@ -114,8 +114,8 @@ def torque_probe(model: PlatformKinematics, wheel: int, torque: float) -> Array:
     single = np.zeros(model.wheel_count)
     single[wheel] = 1.0
     internal = model.T_pinv @ model.T[:, wheel]
-    share = float(internal[wheel])
-    return torque * (internal / share if share >= MIN_CONSTRAINT_SHARE else single)
+    fraction = float(internal[wheel])
+    return torque * (internal / fraction if fraction >= MIN_CONSTRAINT_FRACTION else single)
 
 
 class Probe:
@@ -124,14 +124,14 @@ class Probe:
     Args:
         torque: Torques of the probe (n,) [N m].
         part: Duration of each of its four parts [s].
-        settling_share: Share of each part in which the drive settles.
+        settling_share: Fraction of each part in which the drive settles.
 
     Attributes:
         judged: (n,) bool: wheels whose torque in the probe is large enough to judge them.
     """
 
     def __init__(
-        self, torque: Array, start: float, part: float, settling_share: float = SETTLING_SHARE
+        self, torque: Array, start: float, part: float, settling_share: float = SETTLING_FRACTION
     ) -> None:
         self._torque = torque
         self._settling_share = settling_share
@@ -139,7 +139,7 @@ class Probe:
         self._part = part
         magnitude = np.abs(torque)
         self.judged: Flags = magnitude > 0.5 * float(magnitude.max())
-        self._response_torque = RESPONSE_SHARE * magnitude
+        self._response_torque = RESPONSE_FRACTION * magnitude
         self._peak: Array = np.zeros_like(magnitude)
         self._sums = np.zeros((len(PROBE_SIGNS), len(torque)))
         self._counts = [0] * len(PROBE_SIGNS)
@@ -167,7 +167,7 @@ class Probe:
 
     @property
     def responded(self) -> Flags:
-        """(n,) bool: wheels that gave `RESPONSE_SHARE` of the probe's torque at least once."""
+        """(n,) bool: wheels that gave `RESPONSE_FRACTION` of the probe's torque at least once."""
         responded: Flags = self._peak > self._response_torque
         return responded
 
@@ -217,7 +217,7 @@ class DeadWheelDetector:
         """Set new torque limits (n,) [N m], thresholds and kinematics."""
         self._limit = limit
         self._model = model
-        constrained = _open_share(model) >= MIN_CONSTRAINT_SHARE
+        constrained = _open_fraction(model) >= MIN_CONSTRAINT_FRACTION
         self._undemanded_pace = np.where(constrained, UNDEMANDED_PACE, 0.0)
         self._parameters = parameters
         self._silent_torque = parameters.silent_torque * limit
@@ -300,8 +300,8 @@ class DeadWheelDetector:
         torque = torque_probe(self._model, wheel, probe_torque)
         part = max(parameters.probe_time / len(PROBE_SIGNS), 5.0 * max(dt, self._gap))
         # Where the platform yields, control loops compensate the probe: its beginning counts, too.
-        constrained = _open_share(self._model)[wheel] >= MIN_CONSTRAINT_SHARE
-        settling_share = SETTLING_SHARE if constrained else 0.0
+        constrained = _open_fraction(self._model)[wheel] >= MIN_CONSTRAINT_FRACTION
+        settling_share = SETTLING_FRACTION if constrained else 0.0
         self._suspects, self._probe = suspects, Probe(torque, now, part, settling_share)
 
     def _judge(self, probe: Probe, braking: Flags) -> tuple[int, ...]:

@@ -194,8 +194,8 @@ class MotionComparison:
         vx, vy, w = odometry.wheel_twist.tolist()
         velocity = odometry.wheel_twist[:2]
         if odometry.rest >= REST_TIME:
-            share = dt / (BIAS_TIME + dt)
-            self._bias = self._bias + share * (inertial.acceleration - self._bias)
+            fraction = dt / (BIAS_TIME + dt)
+            self._bias = self._bias + fraction * (inertial.acceleration - self._bias)
         rate = w - (inertial.rotation / dt - odometry.yaw_bias)
         self.yaw_rate += (rate - self.yaw_rate) * dt / (RATE_FILTER_TIME + dt)
         if self._before is not None:

@@ -141,8 +141,8 @@ class ImuFeedback:
             swing = 0.0
         # The origin of base_link accelerates otherwise than the sensor, which is beside it.
         x, y = self._offset.tolist()
-        lever = np.array([swing * y + turn * turn * x, turn * turn * y - swing * x])
-        self._acceleration = self._to_base @ acceleration[:2] + lever
+        lever_arm = np.array([swing * y + turn * turn * x, turn * turn * y - swing * x])
+        self._acceleration = self._to_base @ acceleration[:2] + lever_arm
         self._raw, self._rate, self._time, self._arrival = raw, turn, time, now
         self.received = True
 

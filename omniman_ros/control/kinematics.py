@@ -18,11 +18,11 @@ from omniman_ros.core.robot import Wheels
 RANK_TOLERANCE = 1e-6
 #: Smallest accepted cos(gamma): at 90 degrees a wheel cannot drive; 1.57 rad counts as 90
 ROLLER_TOLERANCE = 0.01
-#: Share of J's smallest singular value (lengths scaled) that the remaining wheels must keep. In
+#: Fraction of J's smallest singular value (lengths scaled) that the remaining wheels must keep. In
 #: the worst direction, a force takes up to 1 / share times the wheel torque that it takes with all
 #: wheels, and slip moves the odometry as much farther. On the plant, wheels that keep 0.2 cannot
 #: follow a twist at the limits even in velocity mode; wheels that keep 0.26 can.
-MIN_REMAINING_SHARE = 0.25
+MIN_REMAINING_FRACTION = 0.25
 #: Magnitude of an entry of T from which the constraint depends on the wheel [-]
 CONSTRAINED_ENTRY = 1e-6
 
@@ -117,8 +117,8 @@ class PlatformKinematics:
         """Number of motion constraints m = n - 3."""
         return int(self.T.shape[0])
 
-    def remaining_share(self, idle: Collection[int]) -> float:
-        """Return the share of J's smallest singular value that is left without some wheels.
+    def remaining_fraction(self, idle: Collection[int]) -> float:
+        """Return the fraction of J's smallest singular value that is left without some wheels.
 
         Lengths are scaled by the platform's size. Four equal Mecanum wheels keep 0.54 without one
         of them. The count does not tell: of eight wheels, the four with parallel rollers keep 0.

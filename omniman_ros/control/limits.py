@@ -111,11 +111,11 @@ def ramp_down(twist: Array, deceleration: Pair, dt: float) -> Array:
 
 
 def slowed(
-    twist: Array, before: Array, velocity: Pair, deceleration: Pair, share: float, dt: float
+    twist: Array, before: Array, velocity: Pair, deceleration: Pair, fraction: float, dt: float
 ) -> Array:
-    """Return a twist (3,) scaled down to a share of the velocity limits, which may fall suddenly.
+    """Return a twist (3,) scaled to a fraction of the velocity limits, which may fall suddenly.
 
-    A twist within the share of the limits stays the same.
+    A twist within the fraction of the limits stays the same.
 
     Args:
         twist: Twist (3,) to limit [m/s, m/s, rad/s].
@@ -124,10 +124,10 @@ def slowed(
         deceleration: Linear and angular limit of the deceleration [m/s^2, rad/s^2].
     """
     used = ratio(twist, velocity)
-    if used <= share:
+    if used <= fraction:
         return twist
     slowest = ramp_down(before, deceleration, dt)
-    return slowest if ratio(slowest, velocity) > share else twist * (share / used)
+    return slowest if ratio(slowest, velocity) > fraction else twist * (fraction / used)
 
 
 def slew(twist: Array, target: Array, limits: TwistLimits, dt: float) -> Array:
@@ -190,11 +190,11 @@ class TwistLimiter:
         pace = min(limits.jerk[0] / rate[0], limits.jerk[1] / rate[1])
         target_time = ratio(error, rate)  # Time to the target at the largest acceleration [s].
         # Number of whole ticks after this one in which the acceleration falls to zero, and the
-        # share of the largest acceleration from which it falls.
+        # fraction of the largest acceleration from which it falls.
         ticks = math.floor(math.sqrt(0.25 + 2.0 * target_time / (pace * dt * dt)) - 0.5)
-        share = min(1.0, target_time / (dt * (ticks + 1)) + 0.5 * pace * dt * ticks)
+        fraction = min(1.0, target_time / (dt * (ticks + 1)) + 0.5 * pace * dt * ticks)
         arriving = target_time <= dt and ticks == 0
-        acceleration = error / dt if arriving else error * (share / target_time)
+        acceleration = error / dt if arriving else error * (fraction / target_time)
         change = acceleration - self._acceleration
         change_time = ratio(change, limits.jerk)
         if change_time > dt:

@@ -365,7 +365,7 @@ class Odometry:
         resting = max(map(abs, wheel_speeds.tolist())) <= REST_SPEED
         self.rest = self.rest + dt if resting else 0.0
         motion = steps[:3]
-        measured = inertial is not None and self._measured_turn(inertial, dt)
+        measured = inertial is not None and self._measured_rotation(inertial, dt)
         if inertial is not None and measured:
             motion = np.array([motion[0], motion[1], inertial.rotation - self.yaw_bias * dt])
             self.twist = np.array([rates[0], rates[1], motion[2] / dt])
@@ -383,33 +383,35 @@ class Odometry:
             slip = self._rim * float(np.abs(self._residual).max())
             self.slipping = slip > self._parameters.slip_threshold
         p, slipped = self._parameters, slip * dt
-        travel = math.hypot(east, north)
-        variance = p.noise_translation * travel + p.noise_slip * slipped
+        displacement = math.hypot(east, north)
+        variance = p.noise_translation * displacement + p.noise_slip * slipped
         yaw_variance = 0.0
         if unknown is not None:
-            way, yaw_variance = self._unknown_way(unknown, travel, dtheta)
+            way, yaw_variance = self._unknown_way(unknown, displacement, dtheta)
             variance += way
         if inertial is not None and measured:
             yaw_variance = inertial.noise + inertial.scale_error
             self._covariance.propagate(east, north, variance, yaw_variance)
             self._covariance.rotate_by_rate(dt)
         else:
-            yaw_variance += p.noise_rotation * abs(dtheta) + p.noise_drift * travel
+            yaw_variance += p.noise_rotation * abs(dtheta) + p.noise_drift * displacement
             yaw_variance += p.noise_slip * slipped
             self._covariance.propagate(east, north, variance, yaw_variance)
         return step
 
-    def _unknown_way(self, unknown: Array, travel: float, turn: float) -> tuple[float, float]:
+    def _unknown_way(
+        self, unknown: Array, displacement: float, turn: float
+    ) -> tuple[float, float]:
         """Return the variances of position [m^2] and heading [rad^2] by a way that is not known.
 
         The ends of an arc and of a straight way with the turn before or after it are half of
         travel times turn apart.
         """
         x, y, theta = (np.abs(self._forward[:3]) @ unknown).tolist()
-        bend = 0.5 * travel * min(abs(turn), math.pi)
+        bend = 0.5 * displacement * min(abs(turn), math.pi)
         return x * x + y * y + bend * bend, theta * theta
 
-    def _measured_turn(self, inertial: InertialStep, dt: float) -> bool:
+    def _measured_rotation(self, inertial: InertialStep, dt: float) -> bool:
         """Return whether a measured rotation counts; else the robot rests: it shows the bias."""
         if not self._covariance.has_bias:
             self._covariance.set_bias(inertial.initial_bias_variance)

@@ -530,8 +530,8 @@ class PlatformController:
             )
             source, before = None, self.setpoint
         wanted, rate = self._motion(source, now, dt)
-        velocity, share = self.parameters.limits.velocity, self.motion_limit.share(now)
-        twist = slowed(wanted, before, velocity, self.limits.deceleration, share, dt)
+        velocity, fraction = self.parameters.limits.velocity, self.motion_limit.fraction(now)
+        twist = slowed(wanted, before, velocity, self.limits.deceleration, fraction, dt)
         reachable = self._reachable(twist, before, dt)
         if self.cascade.saturated or rate is None or twist is not wanted:
             rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
@@ -569,9 +569,9 @@ class PlatformController:
         """Return voltages (n,) [V] that the arm's posture bears, if it lowers the limits.
 
         Accelerations and decelerations are limited by the larger of the two limits, as they are
-        counted for the share of the limits.
+        counted for the fraction of the limits.
         """
-        if self.stability.share == 1.0:
+        if self.stability.fraction == 1.0:
             return volts
         linear, angular = map(max, self.limits.acceleration, self.limits.deceleration)
         limited = self.cascade.dynamics.limited_voltage
@@ -582,7 +582,7 @@ class PlatformController:
         limits, motor = self.limits, self.parameters.robot.motor
         wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
         return wheels or (
-            ratio(self.setpoint, limits.velocity) > OVERSPEED * self.motion_limit.share(now)
+            ratio(self.setpoint, limits.velocity) > OVERSPEED * self.motion_limit.fraction(now)
         )
 
     def _reachable(self, twist: Array, before: Array, dt: float) -> Array:

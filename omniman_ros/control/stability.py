@@ -22,12 +22,12 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
-#: Smallest share of the limits of acceleration and deceleration that any posture leaves: the robot
-#: must remain able to stop.
-MIN_SHARE = 0.1
-#: Number of steps in which the share of the limits changes: it is not reported at each movement of
-#: the arm.
-SHARE_STEPS = 20
+#: Smallest fraction of the limits of acceleration and deceleration that any posture leaves: the
+#: robot must remain able to stop.
+MIN_LIMIT_SCALE = 0.1
+#: Number of steps in which the fraction of the limits changes: it is not reported at each movement
+#: of the arm.
+LIMIT_SCALE_STEPS = 20
 PARALLEL = 1e-9  #: Area over that of the platform below which three wheels count as in line
 
 
@@ -67,11 +67,13 @@ class SupportModel:
         parts = [(b.mass, b.com_x, b.com_y, b.com_z) for b in (robot.body, robot.arm)]
         mass, x, y, z = np.array(parts).T
         weight = GRAVITY * float(mass.sum())
-        lever = mass * z / weight  # [s^2]: times an acceleration, the shift of the point.
+        lever_arm = mass * z / weight  # [s^2]: times an acceleration, the shift of the point.
         self._rest = GRAVITY / weight * np.array([mass @ x, mass @ y])
         # Accelerations (ax, ay, yaw) of base_link's origin shift the point; w^2 pulls outwards.
-        self._shift = -np.array([[lever.sum(), 0.0, -(lever @ y)], [0.0, lever.sum(), lever @ x]])
-        self._spin = np.array([lever @ x, lever @ y])
+        self._shift = -np.array(
+            [[lever_arm.sum(), 0.0, -(lever_arm @ y)], [0.0, lever_arm.sum(), lever_arm @ x]]
+        )
+        self._spin = np.array([lever_arm @ x, lever_arm @ y])
         self._edges, self._offsets = support_edges(np.column_stack([wheels.x, wheels.y]))
         balance = np.linalg.pinv(np.array([np.ones(len(wheels.x)), wheels.x, wheels.y]))
         self._loads_at_rest = weight * (balance[:, 0] + balance[:, 1:] @ self._rest)
@@ -113,8 +115,8 @@ class SupportModel:
         shift = self.zero_moment_point(acceleration, yaw_rate) - self._rest
         return np.maximum(self._loads_at_rest + self._load_shift @ shift, 0.0)
 
-    def share(self, limits: TwistLimits, margin: float) -> float:
-        """Return the share of the limits that keeps a tip-over margin, and all wheels' grip.
+    def fraction(self, limits: TwistLimits, margin: float) -> float:
+        """Return the fraction of the limits that keeps a tip-over margin, and all wheels' grip.
 
         Limits of acceleration and deceleration times s, and of velocity times the root of s, slow
         every motion down uniformly: all accelerations, the centripetal ones included, have s
@@ -138,27 +140,27 @@ class SupportModel:
         lost = np.hypot(used[:, 0], used[:, 1]) * (linear + speed * turn)
         lost += np.abs(used[:, 2]) * yaw + np.maximum(-self._edges @ self._spin, 0.0) * turn**2
         spare = self._edges @ self._rest + self._offsets - margin
-        share = _smallest_ratio(spare, lost)
+        fraction = _smallest_ratio(spare, lost)
         for side in (1.0, -1.0):
             asked = side * self._push - self._friction * self._load_shift @ self._shift
             need = np.hypot(asked[:, 0], asked[:, 1]) * linear + np.abs(asked[:, 2]) * yaw
-            share = min(share, _smallest_ratio(self._friction * self._loads_at_rest, need))
-        return share
+            fraction = min(fraction, _smallest_ratio(self._friction * self._loads_at_rest, need))
+        return fraction
 
 
 class StabilityLimiter:
     """Lowers the limits of the twist to what the arm's posture bears.
 
-    The share of the limits changes in steps, and rises only if the posture leaves half a step
+    The fraction of the limits changes in steps, and rises only if the posture leaves half a step
     more.
 
     Attributes:
-        share: Share of the limits of acceleration in use, from MIN_SHARE to 1.
+        fraction: Fraction of the limits of acceleration in use, from MIN_SHARE to 1.
     """
 
     def __init__(self) -> None:
         self.support: SupportModel | None = None
-        self.share = 1.0
+        self.fraction = 1.0
 
     def configure(
         self, parameters: StabilityParameters, support: SupportModel | None, limits: TwistLimits
@@ -170,27 +172,29 @@ class StabilityLimiter:
         """
         self.support = support
         if support is None or not parameters.limit:
-            self.share = 1.0
+            self.fraction = 1.0
             return limits
-        exact = min(max(support.share(limits, parameters.margin), MIN_SHARE), 1.0)
-        if not self.share <= exact < min(self.share + 1.5 / SHARE_STEPS, 1.0):
-            self.share = max(math.floor(SHARE_STEPS * exact + 1e-9) / SHARE_STEPS, MIN_SHARE)
-        return slowed_limits(limits, self.share)
+        exact = min(max(support.fraction(limits, parameters.margin), MIN_LIMIT_SCALE), 1.0)
+        if not self.fraction <= exact < min(self.fraction + 1.5 / LIMIT_SCALE_STEPS, 1.0):
+            self.fraction = max(
+                math.floor(LIMIT_SCALE_STEPS * exact + 1e-9) / LIMIT_SCALE_STEPS, MIN_LIMIT_SCALE
+            )
+        return slowed_limits(limits, self.fraction)
 
 
-def slowed_limits(limits: TwistLimits, share: float) -> TwistLimits:
-    """Return limits for the same motions with a share of their accelerations; jerks stay."""
-    if share == 1.0:
+def slowed_limits(limits: TwistLimits, fraction: float) -> TwistLimits:
+    """Return limits for the same motions with a fraction of their accelerations; jerks stay."""
+    if fraction == 1.0:
         return limits
-    pace = math.sqrt(share)
+    pace = math.sqrt(fraction)
     return replace(
         limits,
         linear_velocity=pace * limits.linear_velocity,
         angular_velocity=pace * limits.angular_velocity,
-        linear_acceleration=share * limits.linear_acceleration,
-        angular_acceleration=share * limits.angular_acceleration,
-        linear_deceleration=share * limits.linear_deceleration,
-        angular_deceleration=share * limits.angular_deceleration,
+        linear_acceleration=fraction * limits.linear_acceleration,
+        angular_acceleration=fraction * limits.angular_acceleration,
+        linear_deceleration=fraction * limits.linear_deceleration,
+        angular_deceleration=fraction * limits.angular_deceleration,
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.control.coupling_controller import CouplingController
 from omniman_ros.control.dynamics import PlatformDynamics
-from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
+from omniman_ros.control.kinematics import MIN_REMAINING_FRACTION, PlatformKinematics
 from omniman_ros.control.limits import saturation
 from omniman_ros.control.odometry import REST_SPEED
 from omniman_ros.control.platform_parameters import PlatformParameters
@@ -76,7 +76,7 @@ class WheelCascade:
     def _set_models(self, parameters: PlatformParameters, idle: Collection[int]) -> None:
         robot = parameters.odometry.calibrated(parameters.robot)
         whole = PlatformKinematics(robot.wheels)
-        if idle and whole.remaining_share(idle) < MIN_REMAINING_SHARE:
+        if idle and whole.remaining_fraction(idle) < MIN_REMAINING_FRACTION:
             reason = "must leave wheels that determine the twist"
             raise ParameterError("drive.dead", parameters.drive.dead, reason)
         self.whole = whole

@@ -17,8 +17,8 @@ DISAGREEMENT_TIME = 0.5
 MAX_DISAGREEMENT = 0.3  #: Constant part of the disagreement that is allowed [rad]
 #: Part of the allowed disagreement that grows with the speed.
 #:
-#: It is a share of the rotation at the reported speed in `DISAGREEMENT_TIME`.
-MAX_DISAGREEMENT_SHARE = 0.2
+#: It is a fraction of the rotation at the reported speed in `DISAGREEMENT_TIME`.
+DISAGREEMENT_SPEED_FRACTION = 0.2
 MAX_GAP = 0.5  #: Longest time between two reports over which speeds tell the motion [s]
 #: Rotation in excess of twice that at the largest speed above which positions jumped [rad]
 MAX_JUMP = 0.3
@@ -197,7 +197,7 @@ class WheelFeedback:
         decay = math.exp(-dt / DISAGREEMENT_TIME)
         self._drift = self._drift * decay + difference
         self._uncertainty = np.maximum(self._uncertainty * decay, largest)
-        allowed = MAX_DISAGREEMENT + MAX_DISAGREEMENT_SHARE * DISAGREEMENT_TIME * np.abs(
+        allowed = MAX_DISAGREEMENT + DISAGREEMENT_SPEED_FRACTION * DISAGREEMENT_TIME * np.abs(
             self.speeds
         )
         excess = np.abs(self._drift) - allowed - self._uncertainty

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.control.dead_wheel import DeadWheelDetector
-from omniman_ros.control.kinematics import MIN_REMAINING_SHARE
+from omniman_ros.control.kinematics import MIN_REMAINING_FRACTION
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.control.odometry import REST_SPEED
 from omniman_ros.control.platform_parameters import PlatformParameters
@@ -21,15 +21,16 @@ IDLE = "idle"
 
 Flags = NDArray[np.bool_]  #: One flag per wheel, (n,) bool
 
-#: Share of its reference speed below which a wheel counts as standing still despite a torque
-REST_SHARE = 0.1
+#: Fraction of its reference speed below which a wheel counts as standing still despite a torque
+REST_SPEED_FRACTION = 0.1
 #: Reference speed above which a wheel at rest can count as blocked [rad/s]. Below it, a wheel that
 #: starts against friction or against the other wheels may be at rest, too.
 MIN_BLOCKED_REFERENCE = 0.5
-#: Share of J's smallest singular value below which the driving wheels determine the twist weakly:
-#: limits fall in proportion, and the drives run in velocity mode. The gain from a speed error to
-#: torque grows with 1 / share^2, so that wheels under torque control swing once they lose grip.
-WEAK_SHARE = 0.5
+#: Fraction of J's smallest singular value below which the driving wheels determine the twist
+#: weakly: limits fall in proportion, and the drives run in velocity mode. The gain from a speed
+#: error to torque grows with 1 / share^2, so that wheels under torque control swing once they lose
+#: grip.
+MIN_SINGULAR_VALUE_RATIO = 0.5
 
 
 class PersistenceMonitor:
@@ -102,9 +103,9 @@ class WheelHealthMonitor:
         """Set new thresholds and models, idle wheels included."""
         self._parameters = parameters
         self.idle = cascade.kinematics.idle
-        share = cascade.kinematics.remaining_share(self.idle)
-        self.weak = share < WEAK_SHARE
-        dead_limits = parameters.drive.dead_limits * min(1.0, share / WEAK_SHARE)
+        fraction = cascade.kinematics.remaining_fraction(self.idle)
+        self.weak = fraction < MIN_SINGULAR_VALUE_RATIO
+        dead_limits = parameters.drive.dead_limits * min(1.0, fraction / MIN_SINGULAR_VALUE_RATIO)
         self.limit_scale = dead_limits if self.idle else 1.0
         self.limits = scaled_limits(parameters.limits, self.limit_scale)
         self._names = parameters.robot.wheels.names
@@ -223,7 +224,7 @@ class WheelHealthMonitor:
             reference: Demanded speeds (n,) [rad/s].
             speeds: Measured speeds (n,) [rad/s].
         """
-        resting = np.abs(speeds) <= np.maximum(REST_SHARE * np.abs(reference), REST_SPEED)
+        resting = np.abs(speeds) <= np.maximum(REST_SPEED_FRACTION * np.abs(reference), REST_SPEED)
         if resting.all():
             return "all wheels stand still"
         if not resting.any():
@@ -237,7 +238,7 @@ class WheelHealthMonitor:
         speed = np.abs(reference)
         driven = (torque * reference > 0.0) & (speed > MIN_BLOCKED_REFERENCE)
         driven &= np.abs(torque) > self._blocked_torque
-        standing: Flags = driven & (np.abs(speeds) < REST_SHARE * speed)
+        standing: Flags = driven & (np.abs(speeds) < REST_SPEED_FRACTION * speed)
         return standing
 
     def _exclude(self, dead: tuple[int, ...], cascade: WheelCascade) -> str:
@@ -246,7 +247,7 @@ class WheelHealthMonitor:
         if self._parameters.drive.dead_wheel == "stop":
             return loss
         idle = tuple(sorted({*self.idle, *dead}))
-        if cascade.kinematics.remaining_share(idle) < MIN_REMAINING_SHARE:
+        if cascade.kinematics.remaining_fraction(idle) < MIN_REMAINING_FRACTION:
             return f"{loss}; the others do not determine the twist well"
         self._found = tuple(sorted({*self._found, *dead}))
         self.idle = idle

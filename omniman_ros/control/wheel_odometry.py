@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.control.imu import ImuFeedback, ImuParameters
-from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
+from omniman_ros.control.kinematics import MIN_REMAINING_FRACTION, PlatformKinematics
 from omniman_ros.control.odometry import REST_TIME, Odometry, OdometryParameters
 from omniman_ros.control.wheel_feedback import MAX_GAP, WheelFeedback
 from omniman_ros.core.arrays import Array
@@ -78,7 +78,10 @@ class WheelOdometry:
         if idle == self.idle:
             return
         robot = self._parameters.odometry.calibrated(self._parameters.robot)
-        if idle and PlatformKinematics(robot.wheels).remaining_share(idle) < MIN_REMAINING_SHARE:
+        if (
+            idle
+            and PlatformKinematics(robot.wheels).remaining_fraction(idle) < MIN_REMAINING_FRACTION
+        ):
             names = ", ".join(robot.wheels.names[i] for i in idle)
             raise InputError(f"without {names} the wheels do not determine the twist")
         self.idle = idle

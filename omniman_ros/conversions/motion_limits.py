@@ -24,17 +24,17 @@ def motion_limit_message(platform: float, arm: float, stamp: Time) -> JointState
     return message
 
 
-def motion_limit_shares(message: JointState) -> tuple[float, float]:
+def motion_limit_fractions(message: JointState) -> tuple[float, float]:
     """Return the fractions of the speed limits in a message, for platform and arm.
 
     Raises:
         InputError: A name or a value is missing, or a value is not 0 to 1.
     """
     _, velocity, _ = joint_arrays(message, LIMITED)
-    shares = require_array(velocity, 1.0, "velocity (share)")
-    if float(shares.min()) < 0.0:
-        raise InputError(f"the shares {shares.tolist()} must be 0 to 1")
-    platform, arm = shares.tolist()
+    fractions = require_array(velocity, 1.0, "velocity (share)")
+    if float(fractions.min()) < 0.0:
+        raise InputError(f"the shares {fractions.tolist()} must be 0 to 1")
+    platform, arm = fractions.tolist()
     return platform, arm
 
 

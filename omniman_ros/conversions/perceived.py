@@ -28,7 +28,7 @@ def tracked_obstacles(message: PointCloud2) -> Array:
     return rows
 
 
-def contact_place(values: Mapping[str, str]) -> tuple[Array, float]:
+def contact_position(values: Mapping[str, str]) -> tuple[Array, float]:
     """Return the place (3,) [m] and the force [N] of a contact in `contacts_message`.
 
     Raises:

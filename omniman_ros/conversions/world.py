@@ -37,9 +37,9 @@ def contacts_message(
     message = DiagnosticArray(header=Header(stamp=stamp, frame_id=frame))
     for contact in contacts:
         values = [KeyValue(key="part", value=contact.part)]
-        values.append(KeyValue(key="thing", value=contact.thing))
+        values.append(KeyValue(key="thing", value=contact.element))
         for prefix, vector in (
-            ("", contact.place),
+            ("", contact.position),
             ("force_", contact.force),
             ("impulse_", contact.impulse),
         ):
@@ -47,7 +47,7 @@ def contacts_message(
                 values.append(KeyValue(key=f"{prefix}{axis}", value=f"{number:.6g}"))
         for key, speed in (
             ("part_speed", contact.part_speed),
-            ("thing_speed", contact.thing_speed),
+            ("thing_speed", contact.element_speed),
         ):
             values.append(KeyValue(key=key, value=f"{speed:.6g}"))
         level = DiagnosticStatus.WARN if contact.touches else DiagnosticStatus.OK
@@ -55,8 +55,8 @@ def contacts_message(
         message.status.append(
             DiagnosticStatus(
                 level=level,
-                name=f"{contact.part}, {contact.thing}",
-                message=f"{contact.part} {verb} {contact.thing}",
+                name=f"{contact.part}, {contact.element}",
+                message=f"{contact.part} {verb} {contact.element}",
                 values=values,
             )
         )

@@ -94,11 +94,12 @@ class ArmModel:
     def jacobian_of(frames: Array) -> Array:
         """Return the Jacobian (..., 6, 6) of `jacobian` for frames (..., 7, 4, 4) of the links."""
         axes, origins = frames[..., :-1, :3, 2], frames[..., :-1, :3, 3]
-        lever = frames[..., -1:, :3, 3] - origins
+        lever_arm = frames[..., -1:, :3, 3] - origins
         result = np.empty((*frames.shape[:-3], 2 * 3, JOINTS))
         for row, first, second in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axes x levers
             result[..., row, :] = (
-                axes[..., first] * lever[..., second] - axes[..., second] * lever[..., first]
+                axes[..., first] * lever_arm[..., second]
+                - axes[..., second] * lever_arm[..., first]
             )
             result[..., 3 + row, :] = axes[..., row]
         return result

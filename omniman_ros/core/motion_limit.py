@@ -30,21 +30,21 @@ class MotionLimitParameters:
 
 
 class MotionLimit:
-    """Share of the speed limits that a collision monitor allows, while its messages are fresh.
+    """Fraction of the speed limits that a collision monitor allows, while its messages are fresh.
 
     A limit is never latched: the motion goes on as soon as it allows that. Where there are several
-    publishers, whose messages cannot be told apart, the smallest share of all fresh messages
+    publishers, whose messages cannot be told apart, the smallest fraction of all fresh messages
     counts: no publisher can loosen the limit of another one.
     """
 
     def __init__(self, parameters: MotionLimitParameters) -> None:
         self.parameters = parameters
-        # Times and shares of the messages that count, both rising: a message that allows more than
-        # a later one never will.
+        # Times and fractions of the messages that count, both rising: a message that allows more
+        # than a later one never will.
         self._kept: list[tuple[float, float]] = []
         self._shared = NEVER
 
-    def update(self, share: float, sent: float, now: float, publishers: int = 1) -> None:
+    def update(self, fraction: float, sent: float, now: float, publishers: int = 1) -> None:
         """Set the limit.
 
         Args:
@@ -55,8 +55,8 @@ class MotionLimit:
             InputError: The share is not a number from 0 to 1, or the limit is stale or, with a
                 single publisher, older than the last one.
         """
-        if not 0.0 <= share <= 1.0:
-            raise InputError(f"the share {share} is not 0 to 1")
+        if not 0.0 <= fraction <= 1.0:
+            raise InputError(f"the share {fraction} is not 0 to 1")
         time = min(sent, now)
         if now - time > self.parameters.timeout:
             raise InputError(f"stale, {now - time:.3f} s old")
@@ -66,11 +66,11 @@ class MotionLimit:
             newest = self._kept[-1][0] if self._fresh(now) else NEVER
             if time < newest:
                 raise InputError(f"out of order, {newest - time:.3f} s before the last one")
-            self._kept = [(time, share)]
+            self._kept = [(time, fraction)]
             return
-        self._kept = [kept for kept in self._fresh(now) if kept[0] > time or kept[1] < share]
-        if not any(kept[0] >= time and kept[1] <= share for kept in self._kept):
-            insort(self._kept, (time, share))
+        self._kept = [kept for kept in self._fresh(now) if kept[0] > time or kept[1] < fraction]
+        if not any(kept[0] >= time and kept[1] <= fraction for kept in self._kept):
+            insort(self._kept, (time, fraction))
 
     def _fresh(self, now: float) -> list[tuple[float, float]]:
         timeout = self.parameters.timeout
@@ -80,8 +80,8 @@ class MotionLimit:
         """Return whether a limit is expected at a time [s], and there is no fresh one."""
         return self.parameters.use and not self._fresh(now)
 
-    def share(self, now: float) -> float:
-        """Return the share of the speed limits that is allowed at a time [s], 0 to 1."""
+    def fraction(self, now: float) -> float:
+        """Return the fraction of the speed limits that is allowed at a time [s], 0 to 1."""
         if not self.parameters.use:
             return 1.0
         fresh = self._fresh(now)

@@ -80,13 +80,13 @@ class Transform:
         """
         return self.translation[0], self.translation[1], heading(self.rotation)
 
-    def interpolated(self, other: "Transform", share: float) -> "Transform":
+    def interpolated(self, other: "Transform", fraction: float) -> "Transform":
         """Return the transform between this one (share 0) and another one (share 1).
 
         Positions are interpolated linearly, rotations at a constant rate about a fixed axis on the
         shorter way (slerp), as tf2 does.
         """
-        left, right = 1.0 - share, share
+        left, right = 1.0 - fraction, fraction
         translation = tuple(
             left * a + right * b for a, b in zip(self.translation, other.translation, strict=True)
         )

@@ -102,8 +102,8 @@ class _Frame:
         i = bisect_left(times, time)
         if times[i] == time:
             return self.transforms[i]
-        share = (time - times[i - 1]) / (times[i] - times[i - 1])
-        return self.transforms[i - 1].interpolated(self.transforms[i], share)
+        fraction = (time - times[i - 1]) / (times[i] - times[i - 1])
+        return self.transforms[i - 1].interpolated(self.transforms[i], fraction)
 
 
 class TransformTree:

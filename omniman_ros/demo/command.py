@@ -17,7 +17,7 @@ from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import drive, judge, load_demo
-from omniman_ros.demo.driver import Driver
+from omniman_ros.demo.driver import DemoDriver
 from omniman_ros.demo.report import fault_lines, report_lines
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.nodes.clock_follower import ClockFollower
@@ -172,7 +172,7 @@ def perform(
     demo = load_demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
     with Session("omniman_demo", sim_time=True) as session:
         pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
-        driver = Driver(session, progress, group.check, setup.wheel_drive, has_arm)
+        driver = DemoDriver(session, progress, group.check, setup.wheel_drive, has_arm)
         try:
             driver.wait_until_ready()
             page = ""

@@ -9,9 +9,9 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo import figures, legs
-from omniman_ros.demo.driver import Driver
+from omniman_ros.demo.driver import DemoDriver
 from omniman_ros.demo.measures import Interval, violations
-from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.recorder import DemoRecording
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.robots import load_robot
 
@@ -21,7 +21,7 @@ class Demo:
     """A robot, and what it has driven, leg by leg; legs that were not driven are empty or None."""
 
     robot: Robot
-    pace: legs.Pace
+    pace: legs.DemoSpeeds
     model: WholeBodyModel | None  #: Platform and arm; None if the robot has no arm
     by_scanner: bool  #: Whether it drives to the goal by its scanner, among a world's persons
     twists: list[figures.TwistPhase] = field(default_factory=list)  #: Driven through `cmd_vel`
@@ -47,11 +47,11 @@ def load_demo(robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> 
     """Return the demo of a robot, given by its name or the path of its file."""
     parameters = load_robot(robot)
     model = WholeBodyModel(build(Mount, parameters, "mount.")) if has_arm else None
-    pace = legs.Pace.within(build(TwistLimits, parameters, "limits."))
+    pace = legs.DemoSpeeds.within(build(TwistLimits, parameters, "limits."))
     return Demo(build(Robot, parameters), pace, model, by_scanner)
 
 
-def drive(demo: Demo, driver: Driver) -> None:
+def drive(demo: Demo, driver: DemoDriver) -> None:
     """Drive all legs; stalls of the machine are measured from here on.
 
     Raises:
@@ -69,7 +69,7 @@ def drive(demo: Demo, driver: Driver) -> None:
     demo.stop = legs.drive_and_stop(driver, demo.pace.speed)
 
 
-def judge(demo: Demo, recording: Recording) -> dict[str, Any]:
+def judge(demo: Demo, recording: DemoRecording) -> dict[str, Any]:
     """Return all figures by section; under `faults` is a sentence for each beyond its limit."""
     odom, reference = np.array(recording.odom), figures.Reference(recording.reference)
     result: dict[str, Any] = {

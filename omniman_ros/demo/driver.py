@@ -34,7 +34,7 @@ SLOWEST_SPEED = 0.1  #: Mean speed below which a motion is given up [m/s]
 EXTRA_TIME = 20.0  #: Time that a motion may take beyond its length at `SLOWEST_SPEED` [s]
 
 
-class Driver:
+class DemoDriver:
     """Executes motions one after the other, shows their progress, and ends the demo on a stop.
 
     Args:

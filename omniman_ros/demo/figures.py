@@ -1,7 +1,7 @@
 """Figures of the demo: how far the robot was from what it was told, by what it published.
 
-`odom` stands for the rows (k, 7) of `Recording.odom`, `truth` for the rows (k, 4) of
-`Recording.truth`.
+`odom` stands for the rows (k, 7) of `DemoRecording.odom`, `truth` for the rows (k, 4) of
+`DemoRecording.truth`.
 """
 
 import math
@@ -17,9 +17,9 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.measures import Interval
-from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People, Perception
-from omniman_ros.demo.recorder import Recording, Row
+from omniman_ros.demo.recorder import DemoRecording, Row
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.planning.obstacles.separation import box_gap
 
@@ -83,7 +83,7 @@ class Reference:
     """The reference that `path/reference` published, as a function of ROS time.
 
     Args:
-        rows: Rows of `Recording.reference`: time, x, y, theta, in any order; times may repeat.
+        rows: Rows of `DemoRecording.reference`: time, x, y, theta, in any order; times may repeat.
     """
 
     def __init__(self, rows: Sequence[Row]) -> None:
@@ -103,7 +103,7 @@ class Reference:
         return is_during
 
     def errors(self, odom: Array) -> tuple[Array, Array]:
-        """Return distance [m] and angle [rad], (k,) each, of rows (k, 7) of `Recording.odom`.
+        """Return distance [m] and angle [rad], (k,) each, of rows (k, 7) of `DemoRecording.odom`.
 
         The first and the last pose of the reference hold before and after it.
         """
@@ -143,7 +143,7 @@ def coupling_figures(rows: Sequence[Row], movements: Sequence[Interval]) -> dict
     """Return the coupling error on a path, over all movements and for each of them [rad].
 
     It is counted from the start of the path, CCTA 2017 (24). The rows are those of
-    `Recording.coupling`; a robot without constraints has only the stamps.
+    `DemoRecording.coupling`; a robot without constraints has only the stamps.
     """
     table = np.array(rows)
     times, epsilon = table[:, 0], table[:, 1:]
@@ -177,7 +177,7 @@ class ArmMove:
     end: float = math.nan  #: ROS time until which the move is measured [s]
 
 
-def arm_figures(recording: Recording, moves: Sequence[ArmMove]) -> dict[str, Any]:
+def arm_figures(recording: DemoRecording, moves: Sequence[ArmMove]) -> dict[str, Any]:
     """Return the lag and the errors of the arm behind its reference, and where it came to rest.
 
     The servo of the arm's controller lags. The lag is the delay at which the measured angles fit
@@ -225,7 +225,7 @@ class ToolTrack:
     true_errors: Array  #: The same by the ground truth, with odometry's drift since the start [m]
 
 
-def tool_track(recording: Recording, model: WholeBodyModel, interval: Interval) -> ToolTrack:
+def tool_track(recording: DemoRecording, model: WholeBodyModel, interval: Interval) -> ToolTrack:
     """Return how the tool moved in an interval."""
     arm, odom = np.array(recording.arm), np.array(recording.odom)
     reference = np.array(recording.tool_reference)
@@ -274,13 +274,13 @@ class DrivenGoal:
     """A goal that was reached among obstacles."""
 
     goal: Array  #: Pose (3,) in odom [m, m, rad]
-    obstacles: MovingObstacles | People  #: On the way
+    obstacles: DemoObstacles | People  #: On the way
     interval: Interval  #: In which the robot drove to the goal
     perception: Perception | None = None  #: If it drove by its scanner
 
 
 def obstacle_gaps(
-    obstacles: MovingObstacles | People, rows: Array, half_size: Sequence[float]
+    obstacles: DemoObstacles | People, rows: Array, half_size: Sequence[float]
 ) -> Array:
     """Return the gaps (K, M) of the robot's box at rows (K, 4) of stamp and pose [m].
 
@@ -330,7 +330,7 @@ class DrivenStop:
     end: float  #: Time until which the robot was watched [s]
 
 
-def stop_figures(recording: Recording, driven: DrivenStop) -> dict[str, Any]:
+def stop_figures(recording: DemoRecording, driven: DrivenStop) -> dict[str, Any]:
     """Return speed, time to rest and distance of the stop, and the motion after the reset.
 
     All are derived from odometry and from the arm's measured angles. The figures of the arm are
@@ -375,7 +375,7 @@ def _time_to_rest(times: Array, speeds: Array, driven: DrivenStop) -> tuple[floa
 # ---- whole drive ----------------------------------------------------------------------------
 
 
-def whole_drive_figures(recording: Recording) -> dict[str, Any]:
+def whole_drive_figures(recording: DemoRecording) -> dict[str, Any]:
     """Return odometry's drift, the energy of the motors, timing and, in a world, contacts."""
     energy = np.array(recording.energy)
     consumed = energy[-1] - energy[0]

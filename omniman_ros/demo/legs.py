@@ -19,10 +19,10 @@ from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
-from omniman_ros.demo.driver import PAUSE, SERVICE_TIMEOUT, Driver
+from omniman_ros.demo.driver import PAUSE, SERVICE_TIMEOUT, DemoDriver
 from omniman_ros.demo.figures import ArmMove, DrivenGoal, DrivenStop, TwistPhase
 from omniman_ros.demo.measures import Interval
-from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People
 from omniman_ros.demo.robot_interface import FRAME, dead_motors_request
 from omniman_ros.motion.figure7 import Movement, movements
@@ -69,14 +69,14 @@ ARM_SWING_TIME = 3.0  #: Time that this change would take without the stop [s]
 
 
 @dataclass(frozen=True)
-class Pace:
+class DemoSpeeds:
     """Speeds of the demo, well within the limits of a robot."""
 
     speed: float = 0.3  #: Linear [m/s]
     yaw_rate: float = 0.6  #: [rad/s]
 
     @classmethod
-    def within(cls, limits: TwistLimits) -> "Pace":
+    def within(cls, limits: TwistLimits) -> "DemoSpeeds":
         """Return the pace for the limits of a robot."""
         return cls(
             speed=min(MAX_SPEED, 0.5 * limits.linear_velocity),
@@ -84,7 +84,7 @@ class Pace:
         )
 
 
-def twist_phases(pace: Pace) -> list[TwistPhase]:
+def twist_phases(pace: DemoSpeeds) -> list[TwistPhase]:
     """Return the phases: a diagonal, a rotation on the spot, and a circle with rotation."""
     speed, turning = pace.speed, 0.75 * pace.yaw_rate
     diagonal = speed / math.sqrt(2.0)
@@ -101,7 +101,7 @@ def twist_phases(pace: Pace) -> list[TwistPhase]:
     ]
 
 
-def drive_twists(driver: Driver, pace: Pace) -> list[TwistPhase]:
+def drive_twists(driver: DemoDriver, pace: DemoSpeeds) -> list[TwistPhase]:
     """Drive all phases, each from rest to rest."""
     driven = []
     for phase in twist_phases(pace):
@@ -131,7 +131,7 @@ def poses_along(movement: Movement, origin: Triple) -> Array:
     return to_odom(movement.at(np.linspace(0.0, movement.length, steps + 1))[0], origin)
 
 
-def drive_path(driver: Driver) -> tuple[list[Interval], list[ArmMove]]:
+def drive_path(driver: DemoDriver) -> tuple[list[Interval], list[ArmMove]]:
     """Follow the path from the robot's present pose; return its movements, and the arm's moves.
 
     Raises:
@@ -157,7 +157,7 @@ def drive_path(driver: Driver) -> tuple[list[Interval], list[ArmMove]]:
 # ---- a path of the tool, with platform and arm synchronised --------------------------------
 
 
-def drive_tool(driver: Driver, model: WholeBodyModel) -> tuple[Interval, ArmMove]:
+def drive_tool(driver: DemoDriver, model: WholeBodyModel) -> tuple[Interval, ArmMove]:
     """Move the arm to its start angles, and the tool along the path from there.
 
     The result is the interval in which the tool was moved, and the arm's move before it.
@@ -215,7 +215,7 @@ def tool_path_message(poses: Array, frame: str) -> Path:
 # ---- a goal among obstacles ----------------------------------------------------------------
 
 
-def drive_to_goal(driver: Driver, by_scanner: bool) -> DrivenGoal:
+def drive_to_goal(driver: DemoDriver, by_scanner: bool) -> DrivenGoal:
     """Drive to a goal by the planner.
 
     By its scanner, the robot sees the persons of a world; else it is told of obstacles that
@@ -228,14 +228,14 @@ def drive_to_goal(driver: Driver, by_scanner: bool) -> DrivenGoal:
     driver.wait_until_idle()
     start = driver.now
     goal = to_odom(np.array([GOAL]), driver.pose)[0]
-    obstacles: MovingObstacles | People
+    obstacles: DemoObstacles | People
     if by_scanner:
         with driver.record_perception() as perception:
             _drive_to(driver, goal, lambda: None)
         obstacles = People(perception.people or [(start, np.zeros((0, 3)))])
     else:
         perception = None
-        obstacles = MovingObstacles.in_front_of(driver.pose, start)
+        obstacles = DemoObstacles.in_front_of(driver.pose, start)
         observe = partial(_observe, driver, obstacles)
         observe()
         _drive_to(driver, goal, observe)
@@ -246,13 +246,13 @@ def drive_to_goal(driver: Driver, by_scanner: bool) -> DrivenGoal:
     return driven
 
 
-def _observe(driver: Driver, obstacles: MovingObstacles) -> None:
+def _observe(driver: DemoDriver, obstacles: DemoObstacles) -> None:
     now = driver.now
     stamp = Time(nanoseconds=round(1e9 * now)).to_msg()
     driver.robot.send_obstacles(obstacles.message(now, stamp))
 
 
-def _drive_to(driver: Driver, goal: Array, observe: Callable[[], None]) -> None:
+def _drive_to(driver: DemoDriver, goal: Array, observe: Callable[[], None]) -> None:
     """Send the goal, then observations until the planner has driven and arrived."""
     driver.robot.send_goal(goal)
     driver.recorder.planner.clear()
@@ -285,7 +285,7 @@ class DeadWheel:
     delay: float  #: From the loss until the controller reported it [s]
 
 
-def drive_with_dead_wheel(driver: Driver, wheel: str) -> DeadWheel:
+def drive_with_dead_wheel(driver: DemoDriver, wheel: str) -> DeadWheel:
     """Drive a path of two straights, switch a motor's torque off on it, and on again at its end.
 
     Raises:
@@ -321,7 +321,7 @@ def drive_with_dead_wheel(driver: Driver, wheel: str) -> DeadWheel:
 # ---- an emergency stop while platform and arm move -----------------------------------------
 
 
-def drive_and_stop(driver: Driver, speed: float) -> DrivenStop:
+def drive_and_stop(driver: DemoDriver, speed: float) -> DrivenStop:
     """Press the stop while driving forwards [m/s], go on sending twists, and reset the robot.
 
     Raises:

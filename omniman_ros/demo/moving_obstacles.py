@@ -19,7 +19,7 @@ DEMO_OBSTACLES = (
 )  #: Position [m], velocity [m/s] and radius [m] of the demo's obstacles, in the robot's frame
 
 
-class MovingObstacles:
+class DemoObstacles:
     """Cylinders that move at constant velocity.
 
     Args:
@@ -34,12 +34,12 @@ class MovingObstacles:
         self.radii = radii
 
     @staticmethod
-    def in_front_of(robot: Triple, start: float) -> "MovingObstacles":
+    def in_front_of(robot: Triple, start: float) -> "DemoObstacles":
         """Return the demo's obstacles before a robot at a pose in odom, from a ROS time on [s]."""
         table = np.array(DEMO_OBSTACLES)
         rotation = se2.rotation(robot[2])[:2, :2]
         positions = table[:, :2] @ rotation + np.array(robot[:2])
-        return MovingObstacles(start, positions, table[:, 2:4] @ rotation, table[:, 4])
+        return DemoObstacles(start, positions, table[:, 2:4] @ rotation, table[:, 4])
 
     def at(self, time: float) -> Array:
         """Return the positions (M, 2) at a ROS time [s]."""

@@ -29,7 +29,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
 from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, obstacle_gaps, tool_track
 from omniman_ros.demo.perception import Perception
-from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.recorder import DemoRecording
 
 TWISTS = BLUE  #: Colour of the part that is driven through `cmd_vel`
 PATH = ORANGE  #: Colour of the part that follows paths
@@ -51,7 +51,7 @@ OUTLINES = 10  #: Number of poses along the path, with the ends, at which the ro
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 
 
-def draw_demo(demo: Demo, recording: Recording, path: Path) -> Path:
+def draw_demo(demo: Demo, recording: DemoRecording, path: Path) -> Path:
     """Draw the demo, driven and measured, into a file, and return the file's path."""
     odom = np.array(recording.odom)
     tool = tool_track(recording, demo.model, demo.tool) if demo.model and demo.tool else None
@@ -90,7 +90,9 @@ def _driven_spans(demo: Demo) -> list[tuple[float, float]]:
 # ---- top view -------------------------------------------------------------------------------
 
 
-def _draw_top_view(axes: Any, demo: Demo, recording: Recording, tool: ToolTrack | None) -> None:
+def _draw_top_view(
+    axes: Any, demo: Demo, recording: DemoRecording, tool: ToolTrack | None
+) -> None:
     """Draw the path of platform and tool: x points up, y to the left."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
     if demo.goal is not None:

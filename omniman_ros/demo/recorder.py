@@ -22,7 +22,7 @@ LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Number of messages of a topic that are kept until this process, held up by a busy machine, reads
 #: them: those of 5 s at 200 Hz.
 DEPTH = 1000
-#: Values of one message, mostly a stamp [s] and the values at that time; see `Recording`
+#: Values of one message, mostly a stamp [s] and the values at that time; see `DemoRecording`
 Row = tuple[float, ...]
 FRESH_POINTS = 6  #: Number of points of a preview that are due until the next one may change it
 #: Time without the processor from which on a failure may be the machine's fault [s]
@@ -30,7 +30,7 @@ STALL_LIMIT = 0.15
 
 
 @dataclass
-class Recording:
+class DemoRecording:
     """Values that the robot published, in the order of arrival.
 
     Stamps are ROS time [s], as the nodes have set them: how late a message reaches this process
@@ -74,7 +74,7 @@ class Recorder:
     """
 
     def __init__(self, node: Node, *, contacts: bool = False) -> None:
-        self.recording = rows = Recording(contacts=[] if contacts else None)
+        self.recording = rows = DemoRecording(contacts=[] if contacts else None)
         self.active_source = ""  #: What drives the platform; empty before the first message
         self.progress = 0.0  #: Of the motion that `begin_motion` announced, from 0 to 1
         self._has_started = False

@@ -23,7 +23,7 @@ class ArmMass:
 
     def __init__(self, arm: Arm, mount: Mount) -> None:
         self._arm = arm
-        moving, share = links(), min(1.0, arm.mass / ARM_MASS)
+        moving, fraction = links(), min(1.0, arm.mass / ARM_MASS)
         x, y, z = arm.tool_centre
         tool = tool_inertia(max(arm.mass - ARM_MASS, 0.0), (x, y, z))
         base = mount.pose @ transform(BASE.place, BASE.rpy)
@@ -31,9 +31,9 @@ class ArmMass:
         self._places = [transform(link.place, link.rpy) for link in moving]
         # The tool is fixed to the last link: the same frame twice.
         bodies = [BASE.inertia, *(link.inertia for link in moving)]
-        self._masses = np.array([share * body.mass for body in bodies] + [tool.mass])
+        self._masses = np.array([fraction * body.mass for body in bodies] + [tool.mass])
         self._centres = np.array([[*body.centre, 1.0] for body in (*bodies, tool)])
-        scale = [share] * len(bodies) + [1.0]
+        scale = [fraction] * len(bodies) + [1.0]
         self._tensors = np.array(
             [k * _tensor(body) for k, body in zip(scale, (*bodies, tool), strict=True)]
         )

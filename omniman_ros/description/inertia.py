@@ -24,7 +24,7 @@ class Inertia:
 
 
 def cylinder(mass: float, radius: float, length: float, centre: Vector, rpy: Vector) -> Inertia:
-    """Return the inertia of a solid cylinder along z of its own axes [kg, m, m, m, rad]."""
+    """Return the inertia of an obstacle cylinder along z of its own axes [kg, m, m, m, rad]."""
     transverse = mass * (3.0 * radius**2 + length**2) / 12.0
     return Inertia(mass, (transverse, transverse, 0.5 * mass * radius**2), centre, rpy)
 

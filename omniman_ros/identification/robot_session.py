@@ -50,7 +50,7 @@ CANCELLATION_TIME = 1.5  #: Silence after which a path may follow a cancelled on
 SPEED_SAMPLES = 21  #: Number of positions over which the speed is differenced
 
 
-class Motion(Protocol):
+class TimedMotion(Protocol):
     """A drive from rest to rest, in odom."""
 
     @property
@@ -62,14 +62,16 @@ class Motion(Protocol):
 
 
 @dataclass(frozen=True)
-class Controller:
+class ControllerConfiguration:
     """The configuration of the platform controller."""
 
     parameters: PlatformParameters  #: Its parameters, those of the robot included
     is_stamped: bool  #: Whether it subscribes to a TwistStamped
 
 
-def read_controller(session: Session, namespace: str, check: Callable[[], None]) -> Controller:
+def read_controller(
+    session: Session, namespace: str, check: Callable[[], None]
+) -> ControllerConfiguration:
     """Read the parameters of the platform controller.
 
     Args:
@@ -94,7 +96,9 @@ def read_controller(session: Session, namespace: str, check: Callable[[], None])
     values = read_parameters(session, client, name, [*names, SIM_TIME, USES_STAMPED_TWISTS])
     if values.get(SIM_TIME):
         raise CommandError(f"{name} runs on simulated time (use_sim_time): start it without")
-    return Controller(build(PlatformParameters, values), bool(values.get(USES_STAMPED_TWISTS)))
+    return ControllerConfiguration(
+        build(PlatformParameters, values), bool(values.get(USES_STAMPED_TWISTS))
+    )
 
 
 @dataclass
@@ -131,7 +135,7 @@ class RobotSession:
     def __init__(
         self,
         session: Session,
-        controller: Controller,
+        controller: ControllerConfiguration,
         truth: str | None,
         progress: Progress,
         poll: Callable[[], None],
@@ -259,7 +263,7 @@ class RobotSession:
     def drive(
         self,
         name: str,
-        motion: Motion,
+        motion: TimedMotion,
         progress_range: tuple[float, float] = (0.0, 1.0),
         reach: float = math.inf,
     ) -> bool:

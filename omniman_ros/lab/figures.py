@@ -34,12 +34,12 @@ from omniman_ros.console.figure_style import (
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies import handover, tool_path
-from omniman_ros.lab.studies.coupling import OWN_CONTROLLER, PAPER_CONTROLLER, Run
+from omniman_ros.lab.studies.coupling import OWN_CONTROLLER, PAPER_CONTROLLER, CouplingRun
 from omniman_ros.lab.studies.handover import KEPT_TIME
-from omniman_ros.lab.studies.mpc_cases import Scene
-from omniman_ros.lab.studies.mpc_loop import Cycle
+from omniman_ros.lab.studies.mpc_cases import MpcCase
+from omniman_ros.lab.studies.mpc_loop import MpcSceneCycle
 from omniman_ros.lab.studies.planned_drives import PlannedDrive
-from omniman_ros.lab.studies.scene_geometry import Wall
+from omniman_ros.lab.studies.scene_geometry import WallRectangle
 from omniman_ros.motion.figure7 import Figure7, waypoints
 
 BOX_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
@@ -62,7 +62,11 @@ PREDICTION_STEP = 0.5  #: between two predicted positions of an obstacle [s]
 
 
 def draw_coupling(
-    robot: Robot, course: Figure7, runs: Sequence[Run], result: Mapping[str, Any], path: Path
+    robot: Robot,
+    course: Figure7,
+    runs: Sequence[CouplingRun],
+    result: Mapping[str, Any],
+    path: Path,
 ) -> None:
     """Draw the coupling errors over time and the path as a PNG file."""
     with figure_style():
@@ -73,7 +77,7 @@ def draw_coupling(
         save_figure(figure, path)
 
 
-def select_median(runs: Sequence[Run]) -> list[Run]:
+def select_median(runs: Sequence[CouplingRun]) -> list[CouplingRun]:
     """Return the drives of group P with the wheels whose uncontrolled error is the median."""
     uncontrolled = sorted(
         (run for run in runs if run.case.group == "P" and run.case.gain == 0.0),
@@ -84,7 +88,7 @@ def select_median(runs: Sequence[Run]) -> list[Run]:
 
 
 def _errors_over_time(
-    axes: Any, course: Figure7, runs: Sequence[Run], result: Mapping[str, Any]
+    axes: Any, course: Figure7, runs: Sequence[CouplingRun], result: Mapping[str, Any]
 ) -> None:
     """Draw the coupling error by (24) over time; as in the paper, red is without control."""
     for leg in course.legs(0.0):
@@ -131,7 +135,7 @@ def _path_of_figure7(axes: Any, robot: Robot, course: Figure7) -> None:
 
 def draw_handover(
     robot: Robot,
-    runs: Sequence[handover.Run],
+    runs: Sequence[handover.HandoverRun],
     position_bound: float,
     heading_bound: float,
     path: Path,
@@ -160,7 +164,7 @@ def draw_handover(
         save_figure(figure, path)
 
 
-def _from_above(axes: Any, robot: Robot, run: handover.Run) -> None:
+def _from_above(axes: Any, robot: Robot, run: handover.HandoverRun) -> None:
     """Draw the ways of both robots, and their outlines at the same times."""
     rows = np.searchsorted(run.times, np.arange(0.0, run.times[-1], SNAPSHOT_PERIOD))
     for poses, colour in ((run.leader, ORANGE), (run.follower, BLUE)):
@@ -177,9 +181,9 @@ def _from_above(axes: Any, robot: Robot, run: handover.Run) -> None:
 
 
 def _station_errors(
-    axes: Any, runs: Sequence[handover.Run], position_bound: float, heading_bound: float
+    axes: Any, runs: Sequence[handover.HandoverRun], position_bound: float, heading_bound: float
 ) -> None:
-    """Draw distance and heading error over time, each as a share of its bound."""
+    """Draw distance and heading error over time, each as a fraction of its bound."""
     for run, colour in zip(runs, SERIES, strict=False):
         errors = run.errors()
         times = run.times - run.kept_from
@@ -201,7 +205,7 @@ def _station_errors(
     _label(axes, f"True error over its bound: {bounds}", "time since the judged time began [s]")
 
 
-def _side_gaps(axes: Any, runs: Sequence[handover.Run]) -> None:
+def _side_gaps(axes: Any, runs: Sequence[handover.HandoverRun]) -> None:
     """Draw the gap between the outlines of the robots over time."""
     for run, colour in zip(runs, SERIES, strict=False):
         axes.plot(run.times, run.gaps(), color=colour, lw=1.0)
@@ -219,12 +223,12 @@ def _label(axes: Any, title: str, across: str) -> None:
 # ---- cases of MPC 2021 and workshop -------------------------------------------------------------
 
 
-def draw_case(robot: Robot, scene: Scene, planned: PlannedDrive, path: Path) -> None:
+def draw_case(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw a drive with its gaps: with a map as a trail, else as snapshots."""
     (draw_snapshots if scene.grid is None else draw_trail)(robot, scene, planned, path)
 
 
-def draw_snapshots(robot: Robot, scene: Scene, planned: PlannedDrive, path: Path) -> None:
+def draw_snapshots(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw snapshots of a drive as a PNG file, as in Fig. 4 and 5 of MPC 2021, and its gaps."""
     evenly = [end_of(planned) * (k + 0.6) / SNAPSHOTS for k in range(SNAPSHOTS)]
     times = list(scene.snapshots) or evenly
@@ -247,7 +251,7 @@ def draw_snapshots(robot: Robot, scene: Scene, planned: PlannedDrive, path: Path
         save_figure(figure, path)
 
 
-def draw_trail(robot: Robot, scene: Scene, planned: PlannedDrive, path: Path) -> None:
+def draw_trail(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw a drive through a building as a PNG file, and its gaps."""
     view = TopView(robot, scene, planned)
     bounds = view.bounds([0.0])
@@ -283,7 +287,7 @@ def _gaps(axes: Any, planned: PlannedDrive, times: Sequence[float], obstacles: i
 class TopView:
     """View of a drive from above, at a single time or as a trail."""
 
-    def __init__(self, robot: Robot, scene: Scene, planned: PlannedDrive) -> None:
+    def __init__(self, robot: Robot, scene: MpcCase, planned: PlannedDrive) -> None:
         self.robot, self.scene, self.planned = robot, scene, planned
 
     def bounds(self, times: Sequence[float]) -> tuple[float, float, float, float]:
@@ -323,7 +327,7 @@ class TopView:
             draw_robot(axes, self.robot, drive.poses[row], NEUTRAL, fill=0.12)
         axes.plot(*drive.poses[:, :2].T, color=INK, lw=1.0, zorder=5)
 
-    def _draw_surroundings(self, axes: Any, time: float, cycle: Cycle) -> None:
+    def _draw_surroundings(self, axes: Any, time: float, cycle: MpcSceneCycle) -> None:
         """Draw start, goal, walls, true obstacles and their predictions of a planner's cycle."""
         for pose, colour in ((self.scene.start, RED), (self.scene.goal, BLUE)):
             draw_robot(axes, self.robot, np.array(pose), colour)
@@ -360,7 +364,7 @@ def _ellipse(axes: Any, center: Array, semi_axes: Any, angle: float, **style: An
     axes.add_patch(Ellipse(tuple(center), 2 * a, 2 * b, angle=math.degrees(angle), **style))
 
 
-def _wall_corners(wall: Wall) -> Array:
+def _wall_corners(wall: WallRectangle) -> Array:
     size = 0.5 * np.array([wall.length, wall.width])
     return _to_odom(BOX_CORNERS * size, np.array([wall.x, wall.y, wall.heading]))
 
@@ -409,7 +413,7 @@ def end_of(planned: PlannedDrive) -> float:
 
 
 def draw_tool_path(
-    runs: Sequence[tool_path.Run], rms_bound: float, max_bound: float, path: Path
+    runs: Sequence[tool_path.ToolPathRun], rms_bound: float, max_bound: float, path: Path
 ) -> None:
     """Draw the study as a PNG file: a row for each course, a column for each kind of wheels."""
     courses = list(dict.fromkeys(run.case.course for run in runs))
@@ -440,7 +444,7 @@ def draw_tool_path(
         save_figure(figure, path)
 
 
-def _paths(axes: Any, run: tool_path.Run) -> None:
+def _paths(axes: Any, run: tool_path.ToolPathRun) -> None:
     """Draw the paths of tool and platform from above: x (forward) points up, y to the left."""
     for positions, colour, label in (
         (run.base, GREY, "base_link"),
@@ -454,7 +458,7 @@ def _paths(axes: Any, run: tool_path.Run) -> None:
 
 
 def _tool_errors(
-    axes: Any, runs: Sequence[tool_path.Run], rms_bound: float, max_bound: float
+    axes: Any, runs: Sequence[tool_path.ToolPathRun], rms_bound: float, max_bound: float
 ) -> None:
     """Draw the errors of the drives over time, their RMS (dotted) and the bounds [m] (dashed)."""
     for run in sorted(runs, key=lambda run: run.case.options.correction):

@@ -31,7 +31,7 @@ def cpu_time(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, float]:
+def cpu_fractions(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, float]:
     """Return the CPU time over the elapsed time of processes while a function runs, by name."""
     start = time.monotonic()
     before = {name: cpu_time(pid) for name, pid in pids.items()}

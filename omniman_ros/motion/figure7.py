@@ -137,7 +137,7 @@ def _smooth(u: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Leg:
+class Figure7Segment:
     """A movement in time, as the platform controller accepts it."""
 
     name: str  #: Name for display
@@ -159,12 +159,14 @@ class Figure7:
         times = [self.law.duration(movement.length) for movement in movements(self.length)]
         return sum(times) + self.rest * (len(times) + 1)
 
-    def legs(self, start: float) -> Sequence[Leg]:
+    def legs(self, start: float) -> Sequence[Figure7Segment]:
         """Return the movements from a time `start` [s] on, as previews in the start's frame."""
         legs, begin = [], start + self.rest
         for movement in movements(self.length):
             duration = self.law.duration(movement.length)
-            legs.append(Leg(movement.name, begin, self._preview(movement, begin, duration)))
+            legs.append(
+                Figure7Segment(movement.name, begin, self._preview(movement, begin, duration))
+            )
             begin += duration + self.rest
         return legs
 

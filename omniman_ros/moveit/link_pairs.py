@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
@@ -90,16 +90,16 @@ def _least_distances(
     description: DescriptionParameters, geometry: BodyGeometry
 ) -> dict[tuple[str, str], float]:
     """Return the least distances of pairs of links that may collide [m], by their names."""
-    postures = _postures(description)
-    own = geometry.self_distances(postures).min(axis=0)
+    configurations = _configurations(description)
+    own = geometry.self_distances(configurations).min(axis=0)
     found = {
         (first.replace(PLATFORM, "base_link"), second): float(distance)
         for (first, second), distance in zip(geometry.pairs, own, strict=True)
     }
     wheels = description.robot.wheels
-    boxes = UprightSolids.join(
+    boxes = UprightObstacles.join(
         [
-            UprightSolids.box(
+            UprightObstacles.box(
                 (wheels.x[i], wheels.y[i], wheels.heading[i]),
                 2.0 * wheels.radius[i],
                 WHEEL_WIDTH * wheels.radius[i],
@@ -108,7 +108,9 @@ def _least_distances(
             for i in range(len(wheels.names))
         ]
     )
-    to_wheels = geometry.distances(np.zeros((len(postures), 3)), postures, boxes).min(axis=0)
+    to_wheels = geometry.distances(np.zeros((len(configurations), 3)), configurations, boxes).min(
+        axis=0
+    )
     for part, row in zip(geometry.parts, to_wheels, strict=True):
         if part != PLATFORM:
             for name, distance in zip(wheels.names, row, strict=True):
@@ -116,7 +118,7 @@ def _least_distances(
     return found
 
 
-def _postures(description: DescriptionParameters) -> Array:
+def _configurations(description: DescriptionParameters) -> Array:
     """Return random postures (k, 6) of the arm within the limits of its joints [rad]."""
     low, high = (np.array(description.arm.each(label)) for label in ("lower", "upper"))
     return np.random.default_rng(SEED).uniform(low, high, (SAMPLES, JOINTS))

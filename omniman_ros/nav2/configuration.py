@@ -15,8 +15,8 @@ from omniman_ros.core.arrays import Array
 LENGTHWAYS, SIDEWAYS = 0.8, 0.6
 """Shares of the limits along x and y, which Nav2 limits one by one: together they make 1."""
 INFLATION = 0.1  #: Distance by which costs reach beyond the robot's farthest point [m]
-#: Share of the largest yaw rate at which Nav2's recovery behaviours turn at least
-SLOWEST_TURN = 0.2
+#: Fraction of the largest yaw rate at which Nav2's recovery behaviours turn at least
+MIN_YAW_RATE_FRACTION = 0.2
 FILTER = "keepout_filter"  #: Name of the layer that keeps the robot out of zones
 
 Parameters = dict[str, Any]  #: Values and groups of values by name, as in a parameter file
@@ -97,19 +97,19 @@ class Nav2Configuration:
     @property
     def _smoother(self) -> Parameters:
         faster, slower = self.limits.acceleration, self.limits.deceleration
-        shares = np.array((LENGTHWAYS, SIDEWAYS, 1.0))
+        fractions = np.array((LENGTHWAYS, SIDEWAYS, 1.0))
         return {
             "max_velocity": list(self._fastest),
             "min_velocity": [-value for value in self._fastest],
-            "max_accel": (shares * (faster[0], *faster)).tolist(),
-            "max_decel": (-shares * (slower[0], *slower)).tolist(),
+            "max_accel": (fractions * (faster[0], *faster)).tolist(),
+            "max_decel": (-fractions * (slower[0], *slower)).tolist(),
         }
 
     @property
     def _behaviours(self) -> Parameters:
         return {
             "max_rotational_vel": self.limits.angular_velocity,
-            "min_rotational_vel": SLOWEST_TURN * self.limits.angular_velocity,
+            "min_rotational_vel": MIN_YAW_RATE_FRACTION * self.limits.angular_velocity,
             "rotational_acc_lim": self.limits.angular_acceleration,
         }
 

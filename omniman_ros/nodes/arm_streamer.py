@@ -25,7 +25,7 @@ from omniman_ros.nodes.runtime import run
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.reverse_interface import JOINTS
 from omniman_ros.ur.streaming_client import KEEP_ALIVE_PERIOD, StartProcess, StreamingClient
-from omniman_ros.ur.streaming_messages import Command, StreamingPhase
+from omniman_ros.ur.streaming_messages import StreamingCommand, StreamingPhase
 from omniman_ros.ur.streaming_process import StreamingProcess
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
@@ -54,16 +54,16 @@ class ArmLimit:
         self._limit.parameters = options
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """Fraction of the speed limits that the arm may use now, 0 to 1."""
-        return self._limit.share(self._node.now())
+        return self._limit.fraction(self._node.now())
 
     def send(self) -> None:
         """Send the fraction that applies now; again and again, as the process may be a new one."""
-        share = self.share
-        if self._limit.parameters.use or share != self._sent:
-            self._sent = share
-            self._send(share)
+        fraction = self.fraction
+        if self._limit.parameters.use or fraction != self._sent:
+            self._sent = fraction
+            self._send(fraction)
 
     def ask(self, velocities: Array) -> None:
         """Publish the joint rates that a preview with velocities (k, n) [rad/s] asks for first.
@@ -108,7 +108,7 @@ class ArmPreviewInput:
         if not latch.released:
             return f"{latch.status.state.value}: {latch.status.reason}"
         self._limit.ask(arrays[2])
-        self._streaming.send(Command.PREVIEW, *arrays)
+        self._streaming.send(StreamingCommand.PREVIEW, *arrays)
         return ""
 
 
@@ -135,12 +135,12 @@ class ArmStreamerNode(HardwareNode):
             start_process = partial(start_process, clock=self.now)
         self.streaming = StreamingClient(self.now, self.wake, self._receive_waiting, start_process)
         self._reports = ArmReportPublisher(self, p.arm.joints)
-        send = partial(self.streaming.send, Command.LIMIT)
+        send = partial(self.streaming.send, StreamingCommand.LIMIT)
         self.limit = ArmLimit(self, list(p.arm.joints), p.collision_monitor, send)
         ArmPreviewInput(self, p.arm.joints, self.limit, self.streaming)
         self.settings.on_change(self._configure)
         self.every(0.02, self._check_process)
-        self.every(KEEP_ALIVE_PERIOD, lambda: self.streaming.send(Command.KEEP_ALIVE))
+        self.every(KEEP_ALIVE_PERIOD, lambda: self.streaming.send(StreamingCommand.KEEP_ALIVE))
         self.begin(p.autostart)
 
     @property
@@ -175,7 +175,7 @@ class ArmStreamerNode(HardwareNode):
         if self.streaming.failure:
             raise HardwareLostError(self.streaming.failure)
         failure = self.streaming.report.failure
-        self.streaming.send(Command.FINISH)
+        self.streaming.send(StreamingCommand.FINISH)
         raise HardwareError(failure or "no answer")
 
     def disable_hardware(self) -> None:
@@ -228,7 +228,7 @@ class ArmStreamerNode(HardwareNode):
     def _configure(self, new: ArmStreamerParameters) -> None:
         joint_limits(new.arm, new.ur)
         self.limit.configure(new.collision_monitor)
-        self.streaming.send(Command.CONFIGURE, new.arm, new.ur)
+        self.streaming.send(StreamingCommand.CONFIGURE, new.arm, new.ur)
 
     def follow_latch(self) -> None:
         """Send the state of the latch to the process, once for each change."""
@@ -263,7 +263,7 @@ class ArmStreamerNode(HardwareNode):
         if process is None:
             return DiagnosticStatus.WARN, "unconfigured", []
         level, text, values = self._reports.status(process, self.stop_diagnostics())
-        return level, text, [*values, ("motion_limit", round(self.limit.share, 3))]
+        return level, text, [*values, ("motion_limit", round(self.limit.fraction, 3))]
 
     @property
     def stop_timeout(self) -> float:

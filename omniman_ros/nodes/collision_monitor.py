@@ -11,11 +11,11 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.monitor import CollisionMonitor, RobotMotion, SpeedLimit
+from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.collision.speed_limits import SpeedLimits
-from omniman_ros.collision.surroundings import Surroundings
-from omniman_ros.collision.unseen import Arrivals, UnseenLimit
+from omniman_ros.collision.unseen import Arrivals, OcclusionLimit
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.motion_limits import demanded_motion, motion_limit_message
 from omniman_ros.conversions.unseen import arrivals_from_message
@@ -37,9 +37,9 @@ from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
+from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
 
-POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
+JOINT_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
 MAP = "map"  #: What an occupied part of the map is called
 
 
@@ -83,11 +83,11 @@ class UnseenInterface:
         age = self._node.now() - self._latest[0]
         return "" if 0.0 <= age <= p.timeout else f"unseen is {age:.2f} s old"
 
-    def limit(self, robot: RobotMotion, demands: list[Array], *, sees_arm: bool) -> UnseenLimit:
+    def limit(self, robot: RobotMotion, demands: list[Array], *, sees_arm: bool) -> OcclusionLimit:
         """Return the limit of the platform's speed for motions (9,) that are asked for."""
         p = self._settings.value.unseen
         if not p.use or self._latest is None:
-            return UnseenLimit()
+            return OcclusionLimit()
         sent, arrivals = self._latest
         arrivals = arrivals.after(max(self._node.now() - sent, 0.0))
         outline = self._footprint(robot.joints, sees_arm)
@@ -95,7 +95,7 @@ class UnseenInterface:
 
     def _footprint(self, joints: Array, sees_arm: bool) -> Rectangles:
         """Return rectangles around the robot, without an arm whose posture is not known."""
-        if self._outline is None or np.abs(joints - self._outline[0]).max() > POSTURE_TOLERANCE:
+        if self._outline is None or np.abs(joints - self._outline[0]).max() > JOINT_TOLERANCE:
             p = self._settings.value
             made = BodyOutline(p.description, p.tool, p.load).footprint(joints[None], 0.0)
             self._outline = joints, made.whole if sees_arm else made.platform
@@ -121,7 +121,7 @@ class CollisionMonitorInputs:
         frames = FrameTransforms(node, lambda: settings.value.frames)
         self._watch = SourceWatch(node, frames)
         self._obstacles = ObstacleInterface(node, frames, p.obstacles, self._watch)
-        self._map = UprightSolids.join([])
+        self._map = UprightObstacles.join([])
         self._grid = MapInterface(node, frames, p.map_reading.rule, self._use_map, self._watch)
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
@@ -137,7 +137,7 @@ class CollisionMonitorInputs:
         self._grid.configure(new.map_reading.rule)
 
     def _use_map(self, grid: GridMap) -> None:
-        self._map = grid_solids(grid)
+        self._map = grid_obstacles(grid)
 
     def _on_demand(self, message: JointState) -> None:
         motion = demanded_motion(message, self._joints)
@@ -183,22 +183,22 @@ class CollisionMonitorInputs:
         timeout, now = self._settings.value.demand_timeout, self._node.now()
         return [motion for at, motion in self._demands.values() if 0.0 <= now - at <= timeout]
 
-    def surroundings(self) -> Surroundings:
+    def surroundings(self) -> MovingObstacles:
         """Return the obstacles as they are predicted for now, and then the map."""
         if self._odom.pose is not None:
             x, y, theta = self._odom.pose
             self._grid.update((x, y, theta))
         ellipses = self._obstacles.ellipses()
-        return Surroundings.join(
-            [ellipse_surroundings(ellipses), Surroundings.standing(self._map)]
+        return MovingObstacles.join(
+            [ellipse_surroundings(ellipses), MovingObstacles.standing(self._map)]
         )
 
-    def label(self, solid: int) -> str:
+    def label(self, obstacle: int) -> str:
         """Return what one of the surroundings is called."""
         keys = self._obstacles.keys
-        if solid >= len(keys):
+        if obstacle >= len(keys):
             return MAP
-        namespace, number = keys[solid]
+        namespace, number = keys[obstacle]
         return f"obstacle {namespace[:40]} {number}"
 
 
@@ -259,17 +259,16 @@ class CollisionMonitorNode(OmnimanNode):
             bounded = SpeedLimit(min(limit.platform, blind), min(limit.arm, blind))
             return MonitorState("blind", "; ".join(faults), bounded)
         unseen = self._unseen.limit(robot, inputs.demands(), sees_arm=inputs.sees_arm)
-        if unseen.place is not None and unseen.share < limit.platform:
-            x, y = unseen.place
+        if unseen.position is not None and unseen.fraction < limit.platform:
+            x, y = unseen.position
             reason = f"somebody whom no scanner sees may step out at ({x:.1f}, {y:.1f})"
-            bounded = SpeedLimit(unseen.share, limit.arm)
-            return MonitorState("slowing" if unseen.share else "stopping", reason, bounded)
+            bounded = SpeedLimit(unseen.fraction, limit.arm)
+            return MonitorState("slowing" if unseen.fraction else "stopping", reason, bounded)
         encounter = limit.encounter
         if encounter is None:
             return MonitorState("free", "", limit)
-        reason = (
-            f"{encounter.part} is {encounter.distance:.2f} m from {inputs.label(encounter.solid)}"
-        )
+        other = inputs.label(encounter.obstacle)
+        reason = f"{encounter.part} is {encounter.distance:.2f} m from {other}"
         is_stopping = min(limit.platform, limit.arm) <= 0.0
         return MonitorState("stopping" if is_stopping else "slowing", reason, limit)
 
@@ -299,7 +298,7 @@ class CollisionMonitorNode(OmnimanNode):
         if limit.encounter is not None:
             values += [
                 ("part", limit.encounter.part),
-                ("obstacle", self.inputs.label(limit.encounter.solid)),
+                ("obstacle", self.inputs.label(limit.encounter.obstacle)),
                 ("distance_m", round(limit.encounter.distance, 3)),
             ]
         if not state.reason:

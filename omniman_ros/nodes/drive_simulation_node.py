@@ -30,7 +30,7 @@ from omniman_ros.nodes.simulated_clock import ClockGiverNode
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.static_transforms import StaticTransforms
 from omniman_ros.nodes.stop_interface import StopInterface
-from omniman_ros.simulation.plant.body import Body
+from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.imu import BaseMotion, SimulatedImu, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
 from omniman_ros.simulation.plant.parameters import FaultParameters
@@ -200,7 +200,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         self._period = max(1.0 / rate, SHORTEST_PERIOD)
         self._timer = self.create_timer(self._period, self.tick_in_time, clock=self.clock)
 
-    def make_body(self, parameters: P) -> Body | None:
+    def make_body(self, parameters: P) -> WheeledBody | None:
         """Return what the drives of a node with these parameters move; None for the plant."""
 
     def base_motion(self) -> BaseMotion:

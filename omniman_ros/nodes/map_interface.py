@@ -27,9 +27,9 @@ from omniman_ros.planning.obstacles.grid_map import GridMap
 #: Distance by which a map may be wrong where the robot is, before it is moved [m]
 MOST_SHIFT = 0.005
 #: Angle by which a map may be wrong before it is moved [rad]: 1 cm at a distance of 5 m
-MOST_TURN = 0.002
+MAX_ROTATION_ERROR = 0.002
 #: Period at which a map is placed again whose transform was missing [s]: it comes only once
-PLACE_PERIOD = 0.5
+MAP_TRANSFORM_PERIOD = 0.5
 #: What is expected of the source of the map: it may send once, as it is latched
 TERMS = SourceTerms(patience=2.0)
 
@@ -58,7 +58,7 @@ class MapInterface:
         self._placement = Placement(ODOM)
         self._anchor: PlanarPose = (0.0, 0.0, 0.0)
         watch.subscribe(OccupancyGrid, self._source, _headers, self._on_map, LATCHED)
-        node.every(PLACE_PERIOD, self._place_late)
+        node.every(MAP_TRANSFORM_PERIOD, self._place_late)
         updates, topic = map_messages.OccupancyGridUpdate, map_messages.UPDATES_TOPIC
         if updates is None:
             node.get_logger().info("map_msgs is not installed: map_updates are not received")
@@ -88,7 +88,7 @@ class MapInterface:
         if anchor == self._anchor:
             return
         x, y, theta = se2.displacement(self._anchor, anchor, robot)
-        if math.hypot(x, y) > MOST_SHIFT or abs(theta) > MOST_TURN:
+        if math.hypot(x, y) > MOST_SHIFT or abs(theta) > MAX_ROTATION_ERROR:
             self._place(self._grid, anchor)
 
     def _on_map(self, message: OccupancyGrid) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.motion_limits import motion_limit_shares
+from omniman_ros.conversions.motion_limits import motion_limit_fractions
 from omniman_ros.core.motion_limit import MotionLimit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
@@ -26,9 +26,9 @@ def subscribe_to_motion_limit(
     def receive(message: JointState) -> None:
         sent, now = node.instant(message.header.stamp), node.now()
         publishers = subscription.get_publisher_count()
-        for limit, share in zip((platform, arm), motion_limit_shares(message), strict=True):
+        for limit, fraction in zip((platform, arm), motion_limit_fractions(message), strict=True):
             if limit is not None:
-                limit.update(share, sent, now, publishers)
+                limit.update(fraction, sent, now, publishers)
         on_update()
 
     handler = node.guarded("motion_limit", receive)

@@ -18,7 +18,10 @@ from omniman_ros.nodes.planner_interfaces.goal_interface import GoalExecutor, Go
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
 from omniman_ros.nodes.planner_interfaces.planner_loop import PlannerLoop
-from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, SensorInterface
+from omniman_ros.nodes.planner_interfaces.sensor_interface import (
+    ArmConfigurationInterface,
+    SensorInterface,
+)
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.planning.cycle import PlannerState
@@ -40,7 +43,7 @@ class MpcPlannerNode(OmnimanNode):
         self._monitor = StreamMonitor(p.restart, "mpc", ("body", "path"))
         self.frames = FrameTransforms(self, lambda: self.settings.value.frames)
         self.sensors = SensorInterface(self, self.settings, self.frames, self.core, self._monitor)
-        self.posture = PostureInterface(self, self.settings)
+        self.posture = ArmConfigurationInterface(self, self.settings)
         self.publisher = MotionPublisher(self, self.settings, self.core, self._monitor)
         plans = PlanPublisher(self, p.frames.odom.odom_frame, self.core)
         anchor = GoalAnchor(self.core, self.frames)

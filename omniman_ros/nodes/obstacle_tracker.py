@@ -51,7 +51,7 @@ LIFETIME = 0.5
 HEIGHT_MARGIN = 0.05
 #: Period at which is looked whether scanners have become silent, which is logged [s]
 REPORT_PERIOD = 1.0
-POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
+JOINT_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
 
 
 class Scanners:
@@ -255,7 +255,7 @@ class ObstacleTrackerNode(OmnimanNode):
         states, before = self._arm.last, self._posture
         if states is None:
             return self._own
-        if before is None or np.abs(states.position - before).max() > POSTURE_TOLERANCE:
+        if before is None or np.abs(states.position - before).max() > JOINT_TOLERANCE:
             self._posture = states.position
             self._own = self._outline.footprint(states.position[None], HEIGHT_MARGIN)
         return self._own

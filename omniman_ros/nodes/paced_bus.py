@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 
 from omniman_ros.can_drives.bus import CLOSED, Bus, BusError, CanBus
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.link import OpenBus
 from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.can_link.records import (
@@ -17,7 +17,7 @@ from omniman_ros.simulation.can_link.records import (
     RecordReader,
     encode,
 )
-from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
+from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, SimulationLinkError
 
 CONNECT_TIMEOUT = 0.5  #: Longest time for connecting [s]
 MAX_WAIT = 0.002  #: Longest real time between two reads of the connection [s]
@@ -51,7 +51,7 @@ class PacedBus(Bus):
             raise BusError(f"no simulated drives at port {port}: {error}") from error
         self._connection, self._reader = LinkConnection(connected), RecordReader()
         self._clock, self._poll = clock, poll
-        self._frames: deque[tuple[Frame, float]] = deque()
+        self._frames: deque[tuple[CanFrame, float]] = deque()
         self._last_time = -math.inf
         self._is_answered = True
         self._failure = ""
@@ -61,14 +61,14 @@ class PacedBus(Bus):
         """Read what has arrived; each frame gets the instant before it."""
         try:
             records = self._reader.receive(self._connection.receive())
-        except (LinkError, InputError) as error:
+        except (SimulationLinkError, InputError) as error:
             self._failure = f"lost: {error}"
             return
         for record in records:
             if isinstance(record, Instant):
                 self._last_time, self._is_answered = record.time, True
             else:
-                frame = Frame(record.id, record.data, record.extended, record.remote)
+                frame = CanFrame(record.id, record.data, record.extended, record.remote)
                 self._frames.append((frame, self._last_time))
 
     def _catch_up(self) -> None:
@@ -81,7 +81,7 @@ class PacedBus(Bus):
             self._connection.wait(MAX_WAIT)
             self._receive()
 
-    def take(self) -> Iterator[Frame | str]:
+    def take(self) -> Iterator[CanFrame | str]:
         """Yield the frames up to the present and then, if the bus has failed, the reason."""
         if self._failure:
             return
@@ -98,7 +98,7 @@ class PacedBus(Bus):
         if timeout > 0.0 and not self._failure:
             self._connection.wait(MAX_WAIT)
 
-    def send(self, frames: Iterable[Frame]) -> str:
+    def send(self, frames: Iterable[CanFrame]) -> str:
         """Send all frames, or an empty step's end; return why the bus has failed, or ""."""
         if self._failure:
             return self._failure
@@ -109,7 +109,7 @@ class PacedBus(Bus):
             records.append(Instant(done))
         try:
             self._connection.send(b"".join(map(encode, records)))
-        except LinkError as error:
+        except SimulationLinkError as error:
             self._failure = f"lost: {error}"
         return self._failure
 

@@ -8,7 +8,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.simulation.can_link.records import BusFrame, Instant, Record
 from omniman_ros.simulation.can_link.server import CanLinkServer
-from omniman_ros.simulation.link_connection import LinkError
+from omniman_ros.simulation.link_connection import SimulationLinkError
 
 if TYPE_CHECKING:  # needs python-can, which is optional
     import can
@@ -47,7 +47,7 @@ class PacedCanLink:
             self._node.warn("second host", "a second host of the bus is refused")
         try:
             records = self._server.receive()
-        except (LinkError, InputError) as error:
+        except (SimulationLinkError, InputError) as error:
             self._on_loss(error)
             return []
         for record in records:
@@ -67,7 +67,7 @@ class PacedCanLink:
             return
         try:
             self._server.send(records)
-        except LinkError as error:
+        except SimulationLinkError as error:
             self._on_loss(error)
 
     def _on_loss(self, error: Exception) -> None:

@@ -19,7 +19,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.arm_mass import ArmMass
-from omniman_ros.nodes.arm_posture import ArmPostureInput
+from omniman_ros.nodes.arm_configuration import ArmConfigurationInput
 from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
@@ -54,7 +54,7 @@ class PlatformControllerNode(OmnimanNode):
         self._odom_every = max(1, round(p.control_rate / p.topics.odom_rate))
         self._monitor_every = max(1, round(p.control_rate / p.topics.monitor_rate))
         self._demand_every = max(1, round(p.control_rate / DEMAND_RATE))
-        self._posture = ArmPostureInput(self, p.arm.joints, self._on_posture)
+        self._posture = ArmConfigurationInput(self, p.arm.joints, self._on_arm_configuration)
         self._outputs = PlatformOutputs(self, self.core, self._posture)
         self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
         self._odometry_inputs = OdometryInputs(self, self.core, self._names, self._topics)
@@ -113,7 +113,7 @@ class PlatformControllerNode(OmnimanNode):
 
         return keep
 
-    def _on_posture(self, posture: Array) -> None:
+    def _on_arm_configuration(self, posture: Array) -> None:
         if self.core.parameters.robot.arm.mass > 0.0:
             self.core.set_arm(self._arm_mass.at(posture))
 

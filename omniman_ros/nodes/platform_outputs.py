@@ -12,7 +12,7 @@ from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.conversions.motion_limits import motion_demand_message
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
-from omniman_ros.nodes.arm_posture import PERIOD, ArmPostureInput
+from omniman_ros.nodes.arm_configuration import PERIOD, ArmConfigurationInput
 from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -44,7 +44,7 @@ class PlatformOutputs:
     """Publishes what a platform controller commands and reports."""
 
     def __init__(
-        self, node: OmnimanNode, core: PlatformController, posture: ArmPostureInput
+        self, node: OmnimanNode, core: PlatformController, posture: ArmConfigurationInput
     ) -> None:
         self._node = node
         self._core = core
@@ -105,8 +105,8 @@ class PlatformOutputs:
     def _publish_wheel_health(self) -> None:
         """Publish the health of the wheels if it has changed, and log any notice about it."""
         monitor = self._core.wheel_health
-        share = self._core.stability.share
-        health = (monitor.dead, monitor.idle, monitor.torque_reported, share)
+        fraction = self._core.stability.fraction
+        health = (monitor.dead, monitor.idle, monitor.torque_reported, fraction)
         if health == self._published_health:
             return
         self._published_health = health
@@ -116,7 +116,7 @@ class PlatformOutputs:
         values = [(name, monitor.state(i)) for i, name in enumerate(self._names)]
         values.append(("torque", "measured" if monitor.torque_reported else "not reported"))
         values.append((LIMIT_SCALE_KEY, f"{monitor.limit_scale:g}"))
-        values.append((POSTURE_SCALE_KEY, f"{share:g}"))
+        values.append((POSTURE_SCALE_KEY, f"{fraction:g}"))
         if monitor.notice and not monitor.stopping:
             self._node.get_logger().warning(monitor.notice)
         self._health.publish(self._node.status_message(level, monitor.summary, values))
@@ -141,7 +141,7 @@ class PlatformOutputs:
         yield from (
             ("active_source", self.active),
             ("wheel_speed_saturated", core.cascade.saturated),
-            ("motion_limit", round(core.motion_limit.share(self._node.now()), 3)),
+            ("motion_limit", round(core.motion_limit.fraction(self._node.now()), 3)),
             ("wheels_slipping", core.odometry.slipping),
             (
                 "slip_not_observable",
@@ -168,7 +168,7 @@ class PlatformOutputs:
             ("tip_over_margin_m", round(support.margin(acceleration, yaw_rate), 3)),
             ("tip_over_margin_at_rest_m", round(support.rest_margin, 3)),
             ("wheel_loads_N", support.loads(acceleration, yaw_rate).round(0).tolist()),
-            (POSTURE_SCALE_KEY, core.stability.share),
+            (POSTURE_SCALE_KEY, core.stability.fraction),
         ]
 
     @property

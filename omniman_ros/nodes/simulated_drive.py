@@ -5,7 +5,7 @@ from typing import Any
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.nodes.arm_posture import ArmPostureInput
+from omniman_ros.nodes.arm_configuration import ArmConfigurationInput
 from omniman_ros.nodes.drive_simulation_node import DriveSimulationNode
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
@@ -18,7 +18,7 @@ class SimulatedDriveNode(DriveSimulationNode[SimulatedDriveParameters]):
     def __init__(self, **options: Any) -> None:
         super().__init__("simulated_drive", SimulatedDriveParameters, **options)
         p = self._parameters_in_use = self.settings.value
-        self._posture = ArmPostureInput(self, p.arm.joints, self._on_posture)
+        self._posture = ArmConfigurationInput(self, p.arm.joints, self._on_arm_configuration)
 
     def configure(self, new: SimulatedDriveParameters) -> None:
         """Use new parameters; the arm keeps its posture."""
@@ -26,7 +26,7 @@ class SimulatedDriveNode(DriveSimulationNode[SimulatedDriveParameters]):
         self._parameters_in_use = new
         self._posture.repeat()
 
-    def _on_posture(self, posture: Array) -> None:
+    def _on_arm_configuration(self, posture: Array) -> None:
         """Move the arm's mass, unless the robot would tip over, which the plant cannot."""
         p = self._parameters_in_use
         if p.robot.arm.mass <= 0.0:

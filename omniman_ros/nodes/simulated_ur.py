@@ -7,9 +7,9 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
+from omniman_ros.simulation.ur.controller_clock import SimulatedTime
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.faults import active_faults
-from omniman_ros.simulation.ur.pace import SimulatedTime
 
 
 class SimulatedUrNode(OmnimanNode):

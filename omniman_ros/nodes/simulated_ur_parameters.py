@@ -24,7 +24,7 @@ class ArmNames:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pendant:
+class PendantParameters:
     """Settings of the teach pendant."""
 
     speed_slider: float = parameter(
@@ -39,7 +39,7 @@ class SimulatedUrParameters:
     arm: ArmNames
     ports: UrPortParameters
     simulated_arm: UrArmParameters
-    pendant: Pendant
+    pendant: PendantParameters
     faults: UrFaultParameters
     truth_rate: float = parameter(
         125.0,

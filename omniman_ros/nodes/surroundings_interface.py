@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.map_interface import MapInterface
@@ -13,8 +13,8 @@ from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.obstacles import Key
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 
 
 class SurroundingsInterface:
@@ -26,7 +26,7 @@ class SurroundingsInterface:
         self._node = node
         self._watch = SourceWatch(node, frames)
         self._obstacles = ObstacleInterface(node, frames, parameters.obstacles, self._watch)
-        self._standing = UprightSolids.join([])
+        self._standing = UprightObstacles.join([])
         self._standing_names: tuple[str, ...] = ()
         self._map = MapInterface(
             node, frames, parameters.map_reading.rule, self._use_map, self._watch
@@ -52,7 +52,7 @@ class SurroundingsInterface:
         """Stop waiting for a silent source of obstacles that no longer exists: see there."""
         self._obstacles.dismiss_silent_source()
 
-    def hindrances(self) -> Hindrances:
+    def obstacle_snapshot(self) -> ObstacleSnapshot:
         """Return what is around the robot now, in odom; rates are by the second.
 
         Obstacles are named by namespace and number of their markers, parts of the map by where
@@ -61,20 +61,22 @@ class SurroundingsInterface:
         ellipses = self._obstacles.ellipses()
         found = ellipse_surroundings(ellipses)
         moves = found.is_moving
-        standing = found.solids.select(np.flatnonzero(~moves))
+        standing = found.obstacles.select(np.flatnonzero(~moves))
         names = [_name(key) for key in self._obstacles.keys]
         still = tuple(name for name, moved in zip(names, moves, strict=True) if not moved)
         walking = tuple(name for name, moved in zip(names, moves, strict=True) if moved)
-        return Hindrances(
+        return ObstacleSnapshot(
             self._node.now(),
-            UprightSolids.join([standing, self._standing]),
-            Surroundings(found.solids.select(np.flatnonzero(moves)), found.velocity[:, moves]),
+            UprightObstacles.join([standing, self._standing]),
+            MovingObstacles(
+                found.obstacles.select(np.flatnonzero(moves)), found.velocity[:, moves]
+            ),
             ellipses.growth[moves],
             (*still, *self._standing_names, *walking),
         )
 
     def _use_map(self, grid: GridMap) -> None:
-        self._standing = grid_solids(grid)
+        self._standing = grid_obstacles(grid)
         self._standing_names = tuple(
             f"the map at ({x:.2f}, {y:.2f}) m" for x, y in self._standing.centre.T.tolist()
         )

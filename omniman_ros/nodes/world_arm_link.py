@@ -7,7 +7,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.simulation.arm_link.server import ArmLinkServer
-from omniman_ros.simulation.link_connection import LinkError
+from omniman_ros.simulation.link_connection import SimulationLinkError
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
 if TYPE_CHECKING:  # needs the physics engine, which is optional
@@ -57,8 +57,8 @@ class WorldArmLink:
             for state in self._servo.take_states():
                 self._server.send(state)
             if self._server.is_connected and now - self._arrival > SILENCE:
-                raise LinkError(f"no setpoint for {SILENCE} s")
-        except (LinkError, InputError) as error:
+                raise SimulationLinkError(f"no setpoint for {SILENCE} s")
+        except (SimulationLinkError, InputError) as error:
             self._node.warn("the arm's controller", f"{PARTICIPANT} is disconnected: {error}")
             self.disconnect()
 

@@ -8,7 +8,7 @@ REP_117, ZERO, NAN, RANGE_MAX = "rep_117", "zero", "not_a_number", "range_max"
 #: Values that may mean that a beam meets nothing within range: infinity, as in REP 117, or also 0,
 #: NaN, or the longest range and more. None of the names is a number in YAML, as inf and nan are.
 NO_RETURN = (REP_117, ZERO, NAN, RANGE_MAX)
-#: Share of the longest range by which a measurement of it may fall short of it [-]
+#: Fraction of the longest range by which a measurement of it may fall short of it [-]
 ROUND_OFF = 1e-3
 
 

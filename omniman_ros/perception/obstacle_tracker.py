@@ -27,29 +27,30 @@ OWN_MARGIN = 0.05  #: Distance around the robot's own parts within which points 
 #: hand, or by a simulation, is not moved at the same moment as its odometry.
 SETTLING_TIME = 0.1
 #: Distance from the outline of a track up to which points are its own, whatever the map says [m]
-NEAR = 0.15
+OUTLINE_TOLERANCE = 0.15
 SPLIT, STANDING_SPLIT = 0.3, 0.1
 """Distance from the outline of a track that walks, and of one that stands, up to which points are
 not those of another one [m]."""
 LEAST_POINTS = 3  #: Number of points with which a track begins
-#: Share of a thing's points that must lie where free space was seen, as evidence of motion
-LEAST_SHARE = 0.2
+#: Fraction of a thing's points that must lie where free space was seen, as evidence of motion
+MIN_FREED_FRACTION = 0.2
 #: Distance outside of a track up to which the middle of points is a part of it [m]
 ABSORBING = 0.1
 #: Distance of two discs, in the sum of their radii, below which they are in one place
 OVERLAP = 0.5
 #: Distance behind the middle of a disc, in its radius, from which on a point cannot be on it
-BEHIND = 0.4
-MOSTLY = 0.6  #: Share of a thing's points in what stands from which it is not somebody who walks
+MAX_DEPTH_FRACTION = 0.4
+#: Fraction of a thing's points in what stands from which it is not somebody who walks
+STRUCTURE_FRACTION = 0.6
 LEFT_RADIUS = 0.1  #: Radius of the place that a thing must have left, as evidence of motion [m]
-ENDLESS = 1e6  #: Cost of a pair that is not possible
+IMPOSSIBLE_COST = 1e6  #: Cost of a pair that is not possible
 
 
 @dataclass(frozen=True)
 class _Points:
     """Points of a scan in odom, in the order of their beams."""
 
-    places: Array  #: (N, 2) [m]
+    positions: Array  #: (N, 2) [m]
     gaps: Array  #: (N,) distances from which each does not belong to the one before [m]
     stand: Mask  #: (N,) whether the map says that something stands there
     is_wide: Mask  #: (N,) whether they are a part of something wide
@@ -111,7 +112,7 @@ class ObstacleTracker:
     def occupancy(self) -> "np.ndarray[tuple[int, int], np.dtype[np.int8]]":
         """Return the occupancy of the map's cells without what moves; see `LocalMap`."""
         moving = [track for track in self._tracks if track.is_moving]
-        centers = np.array([track.place for track in moving]).reshape(-1, 2)
+        centers = np.array([track.position for track in moving]).reshape(-1, 2)
         return self.map.occupancy(centers, np.array([track.radius for track in moving]))
 
     # ---- odometry -------------------------------------------------------------------------------
@@ -144,24 +145,24 @@ class ObstacleTracker:
         beams = scan.hits
         local = scan.local_points(beams)
         known = ~self._is_own(local, scan, own)
-        places = placed(local, poses[beams])
+        positions = placed(local, poses[beams])
         x, y, theta = poses[-1].tolist()
-        view = View.of(scan, (x, y, theta), beams, places, known)
+        view = View.of(scan, (x, y, theta), beams, positions, known)
         self.time, self.robot = max(self.time, scan.end), poses[-1, :2]
         self.map.follow(self.robot)
-        places, ranges = places[known], scan.ranges[beams[known]]
-        points = self._judged(places, ranges, scan)
+        positions, ranges = positions[known], scan.ranges[beams[known]]
+        points = self._judged(positions, ranges, scan)
         moving = self._follow(points, scan.end, view)
         due = self._mapped.get(scanner, -np.inf) + 0.9 / self.map_parameters.rate
         if self._mapped.get(scanner, -np.inf) <= scan.end < due:
             return False
         self._mapped[scanner] = scan.end
         reach = min(scan.range_max, self.parameters.range)
-        self.map.update(view, places[~moving], reach)
+        self.map.update(view, positions[~moving], reach)
         self.map.occupy((x, y, theta), self._parts(scan, own), OWN_MARGIN)
         if self.unseen.parameters.speed > 0.0:
             body = (x, y, theta), own.whole
-            self.unseen.update(scan.end, view, reach, places, self.map.standing(), body)
+            self.unseen.update(scan.end, view, reach, positions, self.map.standing(), body)
         return True
 
     def _is_own(self, local: Array, scan: Scan, own: Footprint) -> Mask:
@@ -184,53 +185,53 @@ class ObstacleTracker:
         parts, _ = own.against(np.array([low]), np.array([high]))
         return parts
 
-    def _judged(self, places: Array, ranges: Array, scan: Scan) -> _Points:
+    def _judged(self, positions: Array, ranges: Array, scan: Scan) -> _Points:
         """Return points (N, 2) with what the map and their neighbours say of them."""
         p = self.parameters
         gaps = np.maximum(p.gap, 3.0 * abs(scan.increment) * ranges)
-        is_wide = np.zeros(len(places), dtype=bool)
-        if len(places):
-            all_things = Clusters.of(places, gaps)
-            is_wide = (all_things.widths(places) > p.max_diameter)[all_things.number]
-        return _Points(places, gaps, self.map.stands(places), is_wide)
+        is_wide = np.zeros(len(positions), dtype=bool)
+        if len(positions):
+            all_things = Clusters.of(positions, gaps)
+            is_wide = (all_things.widths(positions) > p.max_diameter)[all_things.number]
+        return _Points(positions, gaps, self.map.stands(positions), is_wide)
 
     # ---- tracks ---------------------------------------------------------------------------------
 
     def _follow(self, points: _Points, time: float, view: View) -> Mask:
         """Bring all tracks up to a time; return which points (N,) belong to what moves."""
-        places, tracks = points.places, self._tracks
+        positions, tracks = points.positions, self._tracks
         expected = np.array([track.expect(time) for track in tracks]).reshape(-1, 2)
         radii = np.array([track.radius for track in tracks])
         walks = np.array([track.is_walking for track in tracks], dtype=bool)
-        surface = _distances(places, expected, radii, view.origin)
-        moving = np.zeros(len(places), dtype=bool)
-        label = np.full(len(places), NONE, dtype=np.intp)
-        is_near = np.zeros(len(places), dtype=bool)
-        if tracks and len(places):
+        surface = _distances(positions, expected, radii, view.origin)
+        moving = np.zeros(len(positions), dtype=bool)
+        label = np.full(len(positions), NONE, dtype=np.intp)
+        is_near = np.zeros(len(positions), dtype=bool)
+        if tracks and len(positions):
             nearest = surface.argmin(axis=0)
-            least = surface[nearest, np.arange(len(places))]
+            least = surface[nearest, np.arange(len(positions))]
             is_split = least < np.where(walks, SPLIT, STANDING_SPLIT)[nearest]
             label[is_split] = nearest[is_split]
-            is_near = least < NEAR
+            is_near = least < OUTLINE_TOLERANCE
         kept = np.flatnonzero(~points.stand | is_near)
-        kept = kept[np.hypot(*(places[kept] - view.origin).T) < self.parameters.range]
-        things = Clusters.of(places[kept], points.gaps[kept], label[kept])
-        owner = np.full(len(things), NONE, dtype=np.intp)
+        kept = kept[np.hypot(*(positions[kept] - view.origin).T) < self.parameters.range]
+        clusters = Clusters.of(positions[kept], points.gaps[kept], label[kept])
+        owner = np.full(len(clusters), NONE, dtype=np.intp)
         is_found = np.zeros(len(tracks), dtype=bool)
-        if len(things):
+        if len(clusters):
             gates = np.array([track.gate(time) for track in tracks])
-            stand = things.means(points.stand[kept].astype(float)) > MOSTLY
-            costs = things.means(surface[:, kept])
-            costs[walks[:, None] & stand] = ENDLESS
-            owner = self._assigned(costs, gates, things.counts)
-            outlines = Outlines.of(things, places[kept], view, self.parameters.partial_radius)
+            stand = clusters.means(points.stand[kept].astype(float)) > STRUCTURE_FRACTION
+            costs = clusters.means(surface[:, kept])
+            costs[walks[:, None] & stand] = IMPOSSIBLE_COST
+            owner = self._assigned(costs, gates, clusters.counts)
+            outlines = Outlines.of(clusters, positions[kept], view, self.parameters.partial_radius)
             found = np.flatnonzero(owner != NONE)
             is_found[owner[found]] = True
             is_wide = points.is_wide[kept]
-            self._observe(things, owner, outlines, places[kept], is_wide, view, time)
-            self._absorb(things, owner, places[kept])
-            self._begin(things, owner, outlines, places[kept], time)
-            owned = owner[things.number]
+            self._observe(clusters, owner, outlines, positions[kept], is_wide, view, time)
+            self._absorb(clusters, owner, positions[kept])
+            self._begin(clusters, owner, outlines, positions[kept], time)
+            owned = owner[clusters.number]
             flags = np.array([track.is_moving for track in self._tracks] + [False])
             moving[kept] = flags[owned]
         for k in np.flatnonzero(~is_found).tolist():
@@ -244,9 +245,9 @@ class ObstacleTracker:
         tracks = [track for track in self._tracks if not track.is_gone]
         if len(tracks) < 2:
             return
-        places = np.array([track.place for track in tracks])
+        positions = np.array([track.position for track in tracks])
         radii = np.array([track.radius for track in tracks])
-        apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+        apart = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1))
         overlap = apart < OVERLAP * (radii[:, None] + radii)
         for i, k in np.argwhere(np.triu(overlap, 1)).tolist():
             min(tracks[i], tracks[k], key=_precedence).is_gone = True
@@ -262,18 +263,18 @@ class ObstacleTracker:
         possible = (costs < gates[:, None]) & (counts > 1)
         rows, columns = np.flatnonzero(possible.any(axis=1)), np.flatnonzero(possible.any(axis=0))
         if len(rows):
-            part = np.where(possible, costs, ENDLESS)[np.ix_(rows, columns)]
+            part = np.where(possible, costs, IMPOSSIBLE_COST)[np.ix_(rows, columns)]
             first, second = linear_sum_assignment(part)
-            is_real = part[first, second] < ENDLESS
+            is_real = part[first, second] < IMPOSSIBLE_COST
             owner[columns[second[is_real]]] = rows[first[is_real]]
         return owner
 
     def _observe(
         self,
-        things: Clusters,
+        clusters: Clusters,
         owner: Indices,
         outlines: Outlines,
-        places: Array,
+        positions: Array,
         is_wide: Mask,
         view: View,
         time: float,
@@ -287,34 +288,34 @@ class ObstacleTracker:
             radius, is_whole = outlines.radii[cluster], bool(outlines.is_whole[cluster])
             limit = 0.5 * p.max_diameter
             tracks[owner[cluster]].measure_radius(min(float(radius), limit), is_whole)
-        number = np.full(len(things), NONE, dtype=np.intp)
+        number = np.full(len(clusters), NONE, dtype=np.intp)
         number[found] = np.arange(len(found))
-        each = number[things.number]
+        each = number[clusters.number]
         mine = each != NONE
         expected = np.array([tracks[owner[cluster]].expect(time) for cluster in found])
-        middles = np.column_stack([things.means(axis) for axis in places.T])[found]
+        middles = np.column_stack([clusters.means(axis) for axis in positions.T])[found]
         is_before = ((middles - expected) * (expected - view.origin)).sum(axis=1) > 0.0
         expected[is_before] = outlines.centers[found[is_before]]
         radii = np.array([tracks[owner[cluster]].radius for cluster in found])
-        centers = fitted_centers(places[mine], each[mine], expected, radii)
-        is_free = things.means(self.map.was_free(places).astype(float))[found]
-        wide = things.means(is_wide.astype(float))[found]
+        centers = fitted_centers(positions[mine], each[mine], expected, radii)
+        is_free = clusters.means(self.map.was_free(positions).astype(float))[found]
+        wide = clusters.means(is_wide.astype(float))[found]
         for k, cluster in enumerate(found.tolist()):
             track = tracks[owner[cluster]]
             track.observe(time, centers[k])
             if track.resembles_structure(bool(wide[k] > 0.5)):
                 track.is_gone = True
-            elif track.judge(time, is_free[k] >= LEAST_SHARE or has_left(track, view), p):
-                self.map.forget(track.birth, track.radius + NEAR)
+            elif track.judge(time, is_free[k] >= MIN_FREED_FRACTION or has_left(track, view), p):
+                self.map.forget(track.birth, track.radius + OUTLINE_TOLERANCE)
 
-    def _absorb(self, things: Clusters, owner: Indices, places: Array) -> None:
+    def _absorb(self, clusters: Clusters, owner: Indices, positions: Array) -> None:
         """Give clusters without a track to a track that they are a part of, such as a leg."""
         free = np.flatnonzero(owner == NONE)
         owned = np.unique(owner[owner != NONE])
         if not len(free) or not len(owned):
             return
-        middles = np.column_stack([things.means(axis) for axis in places.T])[free]
-        centers = np.array([self._tracks[k].place for k in owned])
+        middles = np.column_stack([clusters.means(axis) for axis in positions.T])[free]
+        centers = np.array([self._tracks[k].position for k in owned])
         reach = np.array([self._tracks[k].radius for k in owned]) + ABSORBING
         far = np.hypot(*(middles[:, None] - centers[None]).transpose(2, 0, 1)) - reach
         nearest = far.argmin(axis=1)
@@ -323,20 +324,20 @@ class ObstacleTracker:
 
     def _begin(
         self,
-        things: Clusters,
+        clusters: Clusters,
         owner: Indices,
         outlines: Outlines,
-        places: Array,
+        positions: Array,
         time: float,
     ) -> None:
         """Begin tracks of clusters that are nobody's, are narrow, and have enough points."""
         p = self.parameters
-        narrow = (things.widths(places) < p.max_diameter) & (things.counts >= LEAST_POINTS)
+        narrow = (clusters.widths(positions) < p.max_diameter) & (clusters.counts >= LEAST_POINTS)
         for cluster in np.flatnonzero((owner == NONE) & narrow).tolist():
             if len(self._tracks) >= p.most:
                 return
-            begin, count = int(things.begins[cluster]), int(things.counts[cluster])
-            front = places[begin + count // 2].copy()
+            begin, count = int(clusters.begins[cluster]), int(clusters.counts[cluster])
+            front = positions[begin + count // 2].copy()
             radius = min(float(outlines.radii[cluster]), 0.5 * p.max_diameter)
             center = outlines.centers[cluster].copy()
             owner[cluster] = len(self._tracks)
@@ -350,7 +351,7 @@ class ObstacleTracker:
         """
         through = view.sees_through(expected, track.radius)
         if through:
-            expected = track.place
+            expected = track.position
             through = view.sees_through(expected, track.radius)
         if through:
             track.is_gone = track.miss()
@@ -369,15 +370,15 @@ def has_left(track: Track, view: View) -> bool:
     return bool(view.sees_through(track.front, LEFT_RADIUS))
 
 
-def _distances(places: Array, centers: Array, radii: Array, origin: Array) -> Array:
+def _distances(positions: Array, centers: Array, radii: Array, origin: Array) -> Array:
     """Return distances (T, N) of points (N, 2) from the sides of discs that face `origin` [m]."""
     if not len(centers):
-        return np.zeros((0, len(places)))
+        return np.zeros((0, len(positions)))
     away = centers - origin
     ux, uy = away.T / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
-    x = places[None, :, 0] - centers[:, :1]
-    y = places[None, :, 1] - centers[:, 1:]
+    x = positions[None, :, 0] - centers[:, :1]
+    y = positions[None, :, 1] - centers[:, 1:]
     off, own = np.hypot(x, y), radii[:, None]
-    is_behind = x * ux[:, None] + y * uy[:, None] > BEHIND * own
+    is_behind = x * ux[:, None] + y * uy[:, None] > MAX_DEPTH_FRACTION * own
     distances: Array = np.where(is_behind, off + own, np.abs(off - own))
     return distances

@@ -44,10 +44,10 @@ class ScanCheckParameters:
 def _hint(ranges: Array, excess: float) -> str:
     """Return the parameter that would help if a value of `excess` of the beams is meant."""
     for word, found in ((ZERO, ranges == 0.0), (NAN, np.isnan(ranges))):
-        if (share := float(found.mean())) >= excess:
+        if (fraction := float(found.mean())) >= excess:
             return (
-                f"; {100.0 * share:.0f} % are {word}: if that is what this scanner sends where it "
-                f"meets nothing, set scanners.no_return to {word}"
+                f"; {100.0 * fraction:.0f} % are {word}: if that is what this scanner sends where "
+                f"it meets nothing, set scanners.no_return to {word}"
             )
     return ""
 
@@ -75,9 +75,9 @@ class ScanCheck:
         met = np.zeros(len(ranges), dtype=bool)
         met[scan.hits] = True
         lost = met[:-2] & met[2:] & np.isposinf(ranges[1:-1])
-        share = float(lost.mean()) if len(lost) else 0.0
-        if share > parameters.most_lost:
-            return f"dirty: {100.0 * share:.0f} % of the beams are lost between two others"
+        fraction = float(lost.mean()) if len(lost) else 0.0
+        if fraction > parameters.most_lost:
+            return f"dirty: {100.0 * fraction:.0f} % of the beams are lost between two others"
         return self._frozen(scan, pose)
 
     def _frozen(self, scan: Scan, pose: Array) -> str:

@@ -47,7 +47,7 @@ class Track:
     Times are those of the first scan and of the last one in which it was seen [s].
 
     Attributes:
-        place: (2,) where it is expected now [m].
+        position: (2,) where it is expected now [m].
         is_moving: Whether it moves, or has moved lately.
         is_gone: Whether it is no longer there.
     """
@@ -65,8 +65,8 @@ class Track:
         self._filter = ObstacleTrack(motion, time, x, y)
         self.number, self.radius, self.begin, self.seen = number, radius, time, time
         self.birth, self.front = center, front
-        self.place = center
-        self._place_time = time
+        self.position = center
+        self._position_time = time
         self.is_moving = self.is_gone = False
         self._views = 0
         self._evidence = 0
@@ -87,8 +87,8 @@ class Track:
     def expect(self, time: float) -> Array:
         """Return where it is expected at a time, (2,) [m]."""
         vx, vy = self._filter.velocity
-        ahead = min(max(time - self._place_time, 0.0), 1.0)
-        return self.place + ahead * np.array((vx, vy))
+        ahead = min(max(time - self._position_time, 0.0), 1.0)
+        return self.position + ahead * np.array((vx, vy))
 
     def gate(self, time: float) -> float:
         """Return how far points may be from its outline at a time [m]."""
@@ -100,10 +100,10 @@ class Track:
         x, y = center.tolist()
         self._filter.observe(time, x, y)
         self.seen, self._misses = time, 0
-        self._place_time = time
-        self.place = np.array(self._filter.position)
+        self._position_time = time
+        self.position = np.array(self._filter.position)
         if self._filter.doubted < math.inf:
-            self.place = center
+            self.position = center
 
     def measure_radius(self, radius: float, is_whole: bool) -> None:
         """Use a radius [m] that was seen; of what is hidden in part it is a lower bound."""
@@ -113,9 +113,9 @@ class Track:
         elif self._views == 0 or radius > 1.3 * self.radius:
             self.radius = max(self.radius, radius)
 
-    def wait(self, time: float, place: Array) -> None:
+    def wait(self, time: float, position: Array) -> None:
         """Expect it, which is hidden, at a place (2,) [m]."""
-        self.place, self._place_time, self._misses = place, time, 0
+        self.position, self._position_time, self._misses = position, time, 0
 
     def miss(self) -> bool:
         """Count a scan that looks through it; return whether it is gone."""
@@ -140,10 +140,10 @@ class Track:
                 self._moved = time
             elif time - self._moved > p.rest_time:
                 self.is_moving, self._evidence = False, 0
-                self.birth = self.front = self.place
+                self.birth = self.front = self.position
             return False
         self._evidence = min(self._evidence + 1, EVIDENCE) if is_new_place else self._evidence
-        way = float(np.hypot(*(self.place - self.birth)))
+        way = float(np.hypot(*(self.position - self.birth)))
         deviation = self._filter.velocity_deviation
         is_significant = speed > max(p.least_speed, SIGNIFICANT * deviation)
         if not (is_significant and way > p.least_way and self._evidence >= EVIDENCE):

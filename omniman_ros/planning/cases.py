@@ -32,7 +32,7 @@ SIDEWAYS = math.radians(70.0)
 class TwoVelocityPath:
     """Path of a point that moves at one velocity until a time, then at another one."""
 
-    place: tuple[float, float]  #: (x, y) at time 0 [m]
+    position: tuple[float, float]  #: (x, y) at time 0 [m]
     velocity: tuple[float, float] = (0.0, 0.0)  #: (x, y) velocity from time 0 on [m/s]
     time: float = math.inf  #: Time at which the velocity changes [s]; infinity if it never does
     then: tuple[float, float] = (0.0, 0.0)  #: (x, y) velocity from that time on [m/s]
@@ -42,7 +42,9 @@ class TwoVelocityPath:
         before = min(now, self.time)
         after = max(now - self.time, 0.0) if math.isfinite(self.time) else 0.0
         result: Array = (
-            np.array(self.place) + before * np.array(self.velocity) + after * np.array(self.then)
+            np.array(self.position)
+            + before * np.array(self.velocity)
+            + after * np.array(self.then)
         )
         return result
 
@@ -52,29 +54,29 @@ class TwoVelocityPath:
 
 
 @dataclass(frozen=True)
-class Case:
+class PlanningCase:
     """A test case."""
 
     name: str  #: Name of the case
     start: Pose  #: Pose of the robot at the start, in odom [m, m, rad]
     goal: Pose  #: Goal of the robot, in odom [m, m, rad]
-    ways: tuple[TwoVelocityPath, ...] = ()  #: Paths of the obstacles, which are circles
+    paths: tuple[TwoVelocityPath, ...] = ()  #: Paths of the obstacles, which are circles
     radius: float = RADIUS  #: Radius of the obstacles [m]
 
-    def fitting(self, length: float, width: float) -> "Case":
+    def fitting(self, length: float, width: float) -> "PlanningCase":
         """Return the case for a robot of another size [m]: lengths and speeds scale with it."""
         factor = max(length / LENGTH, width / WIDTH)
-        ways = tuple(
+        paths = tuple(
             TwoVelocityPath(
-                _times(way.place, factor),
-                _times(way.velocity, factor),
-                way.time,
-                _times(way.then, factor),
+                _times(path.position, factor),
+                _times(path.velocity, factor),
+                path.time,
+                _times(path.then, factor),
             )
-            for way in self.ways
+            for path in self.paths
         )
         start, goal = ((*_times(pose[:2], factor), pose[2]) for pose in (self.start, self.goal))
-        return Case(self.name, start, goal, ways, factor * self.radius)
+        return PlanningCase(self.name, start, goal, paths, factor * self.radius)
 
 
 def _times(pair: tuple[float, float], factor: float) -> tuple[float, float]:
@@ -97,14 +99,14 @@ _CROSSING = (
     TwoVelocityPath((5.4, -3.4), (0.0, 0.5)),
 )  #: Paths of the obstacles of the moving case
 
-CASES: Mapping[str, Case] = MappingProxyType(
+CASES: Mapping[str, PlanningCase] = MappingProxyType(
     {
         case.name: case
         for case in (
             # 6 m, so that the robot still drives in the paper's last snapshot.
-            Case("free", (0.0, 0.0, -SIDEWAYS), (6.0, 0.0, -SIDEWAYS)),
-            Case("corridor", (0.0, 0.0, 0.0), (4.5, 0.0, 0.0), _row()),
-            Case("moving", (0.0, 0.0, 0.0), (6.5, 0.0, 0.0), _CROSSING),
+            PlanningCase("free", (0.0, 0.0, -SIDEWAYS), (6.0, 0.0, -SIDEWAYS)),
+            PlanningCase("corridor", (0.0, 0.0, 0.0), (4.5, 0.0, 0.0), _row()),
+            PlanningCase("moving", (0.0, 0.0, 0.0), (6.5, 0.0, 0.0), _CROSSING),
         )
     }
 )  #: Test cases by name

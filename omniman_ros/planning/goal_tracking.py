@@ -13,7 +13,7 @@ from omniman_ros.planning import passing
 from omniman_ros.planning.cycle import AT_REST, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import Goal, PlanTarget, StateGoal, TrajectoryGoal
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
@@ -192,7 +192,7 @@ def require_reachable(goal: Goal, environment: Environment) -> None:
         return
     known = environment.ellipses
     poses, _ = goal.targets(np.array([known.time]))
-    rest = Motion.rest(known.time, poses[0], 1)
+    rest = HermiteTrajectory.rest(known.time, poses[0], 1)
     # An obstacle that was just seen may move: its velocity is not known yet.
     is_tracked = known.growth < NEW_OBSTACLE_GROWTH
     standing = known.select(is_tracked & (np.hypot(*known.velocities.T) < AT_REST))

@@ -13,7 +13,7 @@ MIN_SPAN = 1e-6  #: Time between two nodes below which they count as the same [s
 
 
 @dataclass(frozen=True)
-class Motion:
+class HermiteTrajectory:
     """Nodes in time, joined by cubic Hermite polynomials; the robot rests outside of them."""
 
     times: Array  #: (K,) increasing times [s]
@@ -22,7 +22,9 @@ class Motion:
     currents: Array  #: (K - 1, n) motor currents from each node on [A]; NaN where none are planned
 
     @staticmethod
-    def of_states(start: float, step: float, states: Array, currents: Array) -> "Motion":
+    def of_states(
+        start: float, step: float, states: Array, currents: Array
+    ) -> "HermiteTrajectory":
         """Return the motion of a plan with states (N + 1, 6), one a step [s].
 
         The states are poses in odom and body twists; currents (N, n) are held over each step [A].
@@ -36,19 +38,21 @@ class Motion:
                 states[:, 5],
             ]
         )
-        return Motion(times, states[:, :3], velocities, currents)
+        return HermiteTrajectory(times, states[:, :3], velocities, currents)
 
     @staticmethod
-    def rest(time: float, pose: Array, controls: int) -> "Motion":
+    def rest(time: float, pose: Array, controls: int) -> "HermiteTrajectory":
         """Return a motion at rest at a pose (3,) from a time [s] on, with n = `controls`."""
-        return Motion.coasting(time, pose, np.zeros(3), controls)
+        return HermiteTrajectory.coasting(time, pose, np.zeros(3), controls)
 
     @staticmethod
-    def coasting(time: float, pose: Array, velocity: Array, controls: int) -> "Motion":
+    def coasting(time: float, pose: Array, velocity: Array, controls: int) -> "HermiteTrajectory":
         """Return a motion of one BRAKING_STEP at a velocity (3,) in odom, with n = `controls`."""
         nodes = np.array([time, time + BRAKING_STEP])
         poses = np.array([pose, pose + BRAKING_STEP * velocity])
-        return Motion(nodes, poses, np.tile(velocity, (2, 1)), np.full((1, controls), np.nan))
+        return HermiteTrajectory(
+            nodes, poses, np.tile(velocity, (2, 1)), np.full((1, controls), np.nan)
+        )
 
     @property
     def start(self) -> float:
@@ -91,7 +95,7 @@ class Motion:
         row: Array = self.currents[index]
         return row
 
-    def between(self, first: float, last: float) -> "Motion":
+    def between(self, first: float, last: float) -> "HermiteTrajectory":
         """Return the part from `first` to `last` [s], with nodes at both."""
         last = max(last, first + MIN_SPAN)
         inner = (self.times > first + MIN_SPAN) & (self.times < last - MIN_SPAN)
@@ -101,18 +105,18 @@ class Motion:
         known = (index >= 0) & (index < len(self.currents))
         currents = np.full((len(index), self.currents.shape[1]), np.nan)
         currents[known] = self.currents[index[known]]
-        return Motion(times, poses, velocities, currents)
+        return HermiteTrajectory(times, poses, velocities, currents)
 
-    def then(self, other: "Motion") -> "Motion":
+    def then(self, other: "HermiteTrajectory") -> "HermiteTrajectory":
         """Return this motion followed by another one that begins at its end."""
-        return Motion(
+        return HermiteTrajectory(
             np.concatenate([self.times[:-1], other.times]),
             np.concatenate([self.poses[:-1], other.poses]),
             np.concatenate([self.velocities[:-1], other.velocities]),
             np.concatenate([self.currents, other.currents]),
         )
 
-    def braked(self, time: float, deceleration: tuple[float, float]) -> "Motion":
+    def braked(self, time: float, deceleration: tuple[float, float]) -> "HermiteTrajectory":
         """Return this motion up to a time [s], then braked to rest [m/s^2, rad/s^2].
 
         The directions of travel and of rotation stay; the two come to rest independently.
@@ -122,7 +126,7 @@ class Motion:
         ends = np.array([speed / deceleration[0], yaw_rate / deceleration[1]])
         longest = float(ends.max())
         if not MIN_SPAN <= longest < math.inf:  # non-finite values are kept, so that checks fail
-            tail = Motion.rest(time, pose, self.currents.shape[1])
+            tail = HermiteTrajectory.rest(time, pose, self.currents.shape[1])
         else:
             ticks = np.arange(0.0, longest, BRAKING_STEP)
             t = np.unique(np.concatenate([ticks, ends[ends > MIN_SPAN]]))
@@ -132,7 +136,7 @@ class Motion:
             poses = pose + velocity * (elapsed - 0.5 * elapsed * elapsed / spans)
             velocities = velocity * (1.0 - elapsed / spans)
             unknown = np.full((len(t) - 1, self.currents.shape[1]), np.nan)
-            tail = Motion(time + t, poses, velocities, unknown)
+            tail = HermiteTrajectory(time + t, poses, velocities, unknown)
         if time <= self.start + MIN_SPAN:
             return tail
         return self.between(self.start, time).then(tail)

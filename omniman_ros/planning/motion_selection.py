@@ -10,7 +10,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.cycle import AT_REST, CycleReport, MeasuredState
 from omniman_ros.planning.effective_limits import EffectiveLimits
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.safety import Surroundings
@@ -20,7 +20,7 @@ CONTACT_DELAY = 0.1
 #: Increase of the smallest gap that makes a motion better if contact does not come sooner [m]
 GAP_GAIN = 0.005
 PREVIEW_DURATION = 0.4  #: Time for which a motion is sent ahead before the preview brakes [s]
-KEPT_PAST = 0.5  #: Length of the past part of a motion that is kept [s]
+HISTORY_TIME = 0.5  #: Length of the past part of a motion that is kept [s]
 #: Distance from the motion above which plans begin at the measured pose of the robot [m]
 REPLAN_POSITION_ERROR = 0.15
 #: Heading error above which plans begin at the measured pose of the robot [rad]
@@ -28,7 +28,7 @@ REPLAN_HEADING_ERROR = 0.2
 
 
 @dataclass(frozen=True)
-class Proposal:
+class PlanProposal:
     """Plans that may be used until they are due."""
 
     due: float  #: Time at which the plans begin [s]; if they are ready after that, they are late
@@ -41,7 +41,7 @@ class Proposal:
 class _Candidate:
     """A motion to choose from, with its solution if it is a new plan."""
 
-    motion: Motion
+    motion: HermiteTrajectory
     solution: Solution | None = None
 
 
@@ -55,15 +55,15 @@ class MotionSelector:
 
     def __init__(self, model: PlanningModel, limits: EffectiveLimits) -> None:
         self.model, self.limits = model, limits
-        long_ago = -KEPT_PAST
-        self.motion = Motion.rest(long_ago, np.zeros(3), model.wheel_count)
+        long_ago = -HISTORY_TIME
+        self.motion = HermiteTrajectory.rest(long_ago, np.zeros(3), model.wheel_count)
         self.report = CycleReport()
-        self._shortened: tuple[Motion, Motion] | None = None
+        self._shortened: tuple[HermiteTrajectory, HermiteTrajectory] | None = None
 
     # ---- the present motion -----------------------------------------------------------------
 
     @property
-    def preview(self) -> Motion:
+    def preview(self) -> HermiteTrajectory:
         """Motion to send: the beginning of the motion, then braking if that is clear, too.
 
         If the sender dies, the motion is no longer checked, and the robot should not continue to
@@ -124,7 +124,7 @@ class MotionSelector:
         """Begin a motion at the pose and the velocity of the robot; it brakes at once."""
         velocity = se2.to_world(float(measured.pose[2]), measured.twist)
         slow = float(np.abs(velocity).max()) < AT_REST
-        moving = Motion.coasting(
+        moving = HermiteTrajectory.coasting(
             measured.time,
             self.continuous_pose(measured),
             velocity * (not slow),
@@ -140,21 +140,21 @@ class MotionSelector:
     def discard(self, now: float, measured: MeasuredState | None) -> None:
         """Replace the motion by rest at the measured pose, or else at the motion's end."""
         pose = self.motion.poses[-1] if measured is None else measured.pose
-        self.motion = Motion.rest(now, pose, self.model.wheel_count)
+        self.motion = HermiteTrajectory.rest(now, pose, self.model.wheel_count)
 
-    def _rest_of_motion(self, now: float) -> Motion:
+    def _rest_of_motion(self, now: float) -> HermiteTrajectory:
         """Return the motion from KEPT_PAST before now [s] to its end."""
-        begins = max(self.motion.start, now - KEPT_PAST)
+        begins = max(self.motion.start, now - HISTORY_TIME)
         return self.motion.between(begins, max(self.motion.end, now + 1e-3))
 
-    def _braked(self, now: float) -> Motion:
+    def _braked(self, now: float) -> HermiteTrajectory:
         rest = self._rest_of_motion(now)
         return rest.braked(max(now, rest.start), self.limits.decelerations)
 
     # ---- selection --------------------------------------------------------------------------
 
     def select(
-        self, proposal: Proposal, now: float, surroundings: Surroundings, active: bool
+        self, proposal: PlanProposal, now: float, surroundings: Surroundings, active: bool
     ) -> Solution | None:
         """Set the motion to the best one available, and report on it.
 
@@ -182,7 +182,7 @@ class MotionSelector:
         return chosen
 
     def _plans(
-        self, proposal: Proposal, lateness: float, now: float, active: bool
+        self, proposal: PlanProposal, lateness: float, now: float, active: bool
     ) -> tuple[list[_Candidate], str]:
         """Return the plans that may be used, and the reason to report if none of them is clear."""
         if not active:
@@ -256,11 +256,11 @@ class MotionSelector:
         self.report = replace(result, time_to_contact=contact - now, clear=False)
         return chosen
 
-    def _joined(self, due: float, solution: Solution, now: float) -> Motion:
+    def _joined(self, due: float, solution: Solution, now: float) -> HermiteTrajectory:
         """Join the plan to the last motion, which is followed until the plan is due [s]."""
         step = self.limits.parameters.horizon.step
-        plan = Motion.of_states(due, step, solution.states, solution.currents)
-        begins = max(min(now, due) - KEPT_PAST, self.motion.start)
+        plan = HermiteTrajectory.of_states(due, step, solution.states, solution.currents)
+        begins = max(min(now, due) - HISTORY_TIME, self.motion.start)
         if begins > due - 1e-3:
             return plan
         before = self.motion.between(begins, due)
@@ -271,7 +271,7 @@ class MotionSelector:
         """Prepare a preview that brakes after PREVIEW_DURATION, if that is clear."""
         self._shortened, soon = None, now + PREVIEW_DURATION
         if self.motion.end > soon:
-            begins = max(self.motion.start, now - KEPT_PAST)
+            begins = max(self.motion.start, now - HISTORY_TIME)
             whole = self.motion.between(begins, self.motion.end)
             short = whole.braked(soon, self.limits.decelerations)
             if surroundings.contact(short, now) == math.inf:

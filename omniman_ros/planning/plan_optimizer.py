@@ -9,7 +9,7 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PlanTarget
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.quadratic_program import SolverError
@@ -18,7 +18,7 @@ from omniman_ros.planning.mpc.transcription import Transcription
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
-from omniman_ros.planning.obstacles.walls import REACH, Walls
+from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 from omniman_ros.planning.parameters import Horizon
 
 WALL_SLOTS = 8  #: Number of additional obstacles in the optimisation where there are walls
@@ -139,7 +139,7 @@ class PlanOptimizer:
     ) -> Solution:
         """Improve a guess (N, n) [A] by solver iterations."""
         start, step = request.start, self._problem.limits.parameters.horizon.step
-        motion = Motion.of_states(request.due, step, solver.states(start, guess), guess)
+        motion = HermiteTrajectory.of_states(request.due, step, solver.states(start, guess), guess)
         slots = solver.transcription.slots
         stage = self._problem.stage(start, motion, request.goal, pairs, slots, request.clearance)
         return solver.solve(start, guess, stage, iterations)
@@ -150,7 +150,7 @@ class PlanOptimizer:
             return walls
         p = self._problem.limits.parameters
         reach = p.limits.linear_velocity * p.horizon.duration
-        return walls.near(request.start, reach + request.footprint.radius + REACH)
+        return walls.near(request.start, reach + request.footprint.radius + MAX_COMPUTED_GAP)
 
 
 class EvasionGuesses:

@@ -18,16 +18,16 @@ from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goal_tracking import GoalTracker, require_reachable
 from omniman_ros.planning.goals import Goal, StateGoal
-from omniman_ros.planning.motion import Motion
-from omniman_ros.planning.motion_selection import MotionSelector, Proposal
+from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.motion_selection import MotionSelector, PlanProposal
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.obstacles.escape_path import EscapePath
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
-from omniman_ros.planning.obstacles.way_out import WayOut
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.plan_optimizer import PlanOptimizer, PlanRequest, SolverPool
 from omniman_ros.planning.route.route_planner import SEARCH_WORK, RoutePlanner
@@ -95,12 +95,12 @@ class Planner:
         return self._tracker.route_planner
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> HermiteTrajectory:
         """Motion to follow: it ends at rest and was checked up to its end."""
         return self._selector.motion
 
     @property
-    def preview(self) -> Motion:
+    def preview(self) -> HermiteTrajectory:
         """Motion to send; see `MotionSelector.preview`."""
         return self._selector.preview
 
@@ -211,25 +211,25 @@ class Planner:
 
     # ---- a cycle ----------------------------------------------------------------------------
 
-    def propose(self, now: float, measured: MeasuredState, obstacles: Ellipses) -> Proposal:
+    def propose(self, now: float, measured: MeasuredState, obstacles: Ellipses) -> PlanProposal:
         """Plan from the predicted state of the robot when the plan is due.
 
         A fault of the solver raises no exception, but results in an empty proposal.
         """
         due = now + self.parameters.safety.deadline
         if self.goal is None:
-            return Proposal(due, fault="no goal")
+            return PlanProposal(due, fault="no goal")
         if self._tracker.is_waiting_for_route or self._tracker.is_trapped:
-            return Proposal(due)
+            return PlanProposal(due)
         start = self._selector.state_at(due, measured, self.anchored)
         self._tracker.schedule_passing(start, due, self.limits)
         try:
             solutions = self._solve(start, due, obstacles)
         except (SolverError, RuntimeError, ValueError, ArithmeticError) as error:
             self._optimizer.note_failure()
-            return Proposal(due, fault=f"solver: {error}")
+            return PlanProposal(due, fault=f"solver: {error}")
         self._optimizer.note_success()
-        return Proposal(due, solutions)
+        return PlanProposal(due, solutions)
 
     def _solve(self, start: Array, due: float, obstacles: Ellipses) -> tuple[Solution, ...]:
         """Optimise the plan that begins at a state (6,) at the time `due` [s]."""
@@ -241,7 +241,7 @@ class Planner:
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
 
     def take(
-        self, proposal: Proposal, now: float, measured: MeasuredState, obstacles: Ellipses
+        self, proposal: PlanProposal, now: float, measured: MeasuredState, obstacles: Ellipses
     ) -> None:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
@@ -252,7 +252,7 @@ class Planner:
             p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
             now + p.horizon.duration,
             self._walls_to_keep_from(),
-            self._way_out,
+            self._escape_path,
         )
         chosen = self._selector.select(proposal, now, surroundings, self.active)
         if chosen is not None:
@@ -270,7 +270,7 @@ class Planner:
         The report of the last plan is kept.
         """
         report = self.report
-        self.take(Proposal(now), now, measured, obstacles)
+        self.take(PlanProposal(now), now, measured, obstacles)
         self._selector.report = report
 
     def update_route(self, now: float, obstacles: Ellipses, work: int = SEARCH_WORK) -> None:
@@ -281,13 +281,13 @@ class Planner:
             self._tracker.update_route(now, pose, environment, self.limits, work)
 
     @property
-    def _way_out(self) -> WayOut | None:
+    def _escape_path(self) -> EscapePath | None:
         """Way on which the robot leaves what it touches, or None."""
-        return None if self.route_planner is None else self.route_planner.way_out
+        return None if self.route_planner is None else self.route_planner.escape_path
 
     def _walls_to_keep_from(self) -> Walls:
         """Return the walls without those that the way out leads along: that is checked instead."""
-        way, margin = self._way_out, self.parameters.safety.clearance
+        way, margin = self._escape_path, self.parameters.safety.clearance
         return self._walls if way is None else way.without(self._walls, self.footprint, margin)
 
     def _environment(self, obstacles: Ellipses) -> Environment:
@@ -295,7 +295,7 @@ class Planner:
         return Environment(self.footprint, obstacles, bounds, self.grid, self._walls)
 
 
-def motor_voltages(model: PlanningModel, motion: Motion, time: float) -> Array | None:
+def motor_voltages(model: PlanningModel, motion: HermiteTrajectory, time: float) -> Array | None:
     """Return the motor voltages (n,) [V] of a motion at a time [s]; None if none are planned."""
     currents = motion.currents_at(time)
     if not np.isfinite(currents).all():
@@ -308,7 +308,7 @@ def motor_voltages(model: PlanningModel, motion: Motion, time: float) -> Array |
     return clipped
 
 
-def expected_energy(model: PlanningModel, motion: Motion) -> float:
+def expected_energy(model: PlanningModel, motion: HermiteTrajectory) -> float:
     """Return the electric energy that a whole motion is expected to consume [J].
 
     Spans without planned currents, which are those of a braking, count as zero.

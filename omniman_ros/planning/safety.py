@@ -8,18 +8,18 @@ import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.escape_path import EscapePath
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import (
     Workspace,
     box_gap,
     outside_by,
     swept_gap,
-    within_reach,
+    within_distance,
 )
 from omniman_ros.planning.obstacles.walls import Walls
-from omniman_ros.planning.obstacles.way_out import WayOut
 
 #: Number of parts into which the check divides each span between two nodes of a motion
 SPAN_PARTS = 4
@@ -44,7 +44,7 @@ class Surroundings:
     walls: Walls = field(default_factory=Walls.none)
     #: Way on which the robot leaves what it touches, and which it must not leave; None if it
     #: touches nothing.
-    way_out: WayOut | None = None
+    escape_path: EscapePath | None = None
 
     @cached_property
     def _pairs(self) -> Pairs:
@@ -66,7 +66,7 @@ class Surroundings:
         gaps = box_gap(poses, pairs.boxes, e.centers_at(times), axes, e.angles)
         return max(-float(gaps.min()), into if len(self.walls) else -math.inf)
 
-    def contact(self, motion: Motion, now: float) -> float:
+    def contact(self, motion: HermiteTrajectory, now: float) -> float:
         """Return the time from `now` on at which a motion comes too close to an obstacle [s].
 
         It is the start of an interval, or infinity. A robot that is too close already may move,
@@ -82,7 +82,7 @@ class Surroundings:
             first = float(times[int(left.argmax())])
         first = min(first, self._at_wall(motion, now, self.margin))
         boxes, known = self._pairs.boxes, self._pairs.ellipses
-        reached = within_reach(times, poses, velocities, boxes, known, self.margin)
+        reached = within_distance(times, poses, velocities, boxes, known, self.margin)
         if not reached.any():
             return first
         boxes, near = boxes.select(reached), known.select(reached)
@@ -100,12 +100,12 @@ class Surroundings:
             first = min(first, float(times[int(touched.argmax())]))
         return first
 
-    def _at_wall(self, motion: Motion, now: float, margin: float) -> float:
+    def _at_wall(self, motion: HermiteTrajectory, now: float, margin: float) -> float:
         """Return the time of too small a distance from a wall, or off the way out; `contact`."""
-        if not len(self.walls) and self.way_out is None:
+        if not len(self.walls) and self.escape_path is None:
             return math.inf
         times, poses, velocities = motion.fine(now, -math.inf, WALL_SPAN_PARTS)
-        left = math.inf if self.way_out is None else self.way_out.left_at(times, poses)
+        left = math.inf if self.escape_path is None else self.escape_path.left_at(times, poses)
         nodes, gaps = self.walls.swept(times, poses, velocities, self.footprint.whole)
         allowed = margin + min(
             max(float(gaps[0]) - margin - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, margin)), 0.0
@@ -114,7 +114,7 @@ class Surroundings:
         touched = ~((gaps > allowed) | leaves)
         return min(left, float(times[int(touched.argmax())]) if touched.any() else math.inf)
 
-    def threat(self, motion: Motion, now: float) -> tuple[float, float]:
+    def threat(self, motion: HermiteTrajectory, now: float) -> tuple[float, float]:
         """Rate a motion that is not clear: of two results, the greater one is better.
 
         Returns:
@@ -128,12 +128,12 @@ class Surroundings:
         return contact, gap - max(float(out.max()) - max(float(out[0]), 0.0), 0.0)
 
     def _contact_and_gap(
-        self, motion: Motion, now: float, times: Array, poses: Array, velocities: Array
+        self, motion: HermiteTrajectory, now: float, times: Array, poses: Array, velocities: Array
     ) -> tuple[float, float]:
         wall = self._at_wall(motion, now, 0.0)
         boxes, known = self._pairs.boxes, self._pairs.ellipses
         certain = replace(known, growth=np.zeros(len(known)))
-        reached = within_reach(times, poses, velocities, boxes, certain, MARGIN_TOLERANCE)
+        reached = within_distance(times, poses, velocities, boxes, certain, MARGIN_TOLERANCE)
         if not reached.any():
             return wall, MARGIN_TOLERANCE if wall == math.inf else 0.0
         gaps = swept_gap(times, poses, velocities, boxes.select(reached), certain.select(reached))
@@ -146,8 +146,12 @@ class Surroundings:
         return contact, min(float(least[: first + 1].min()), MARGIN_TOLERANCE)
 
     def longest(
-        self, motion: Motion, now: float, earliest: float, deceleration: tuple[float, float]
-    ) -> Motion | None:
+        self,
+        motion: HermiteTrajectory,
+        now: float,
+        earliest: float,
+        deceleration: tuple[float, float],
+    ) -> HermiteTrajectory | None:
         """Return the longest part of a motion that can be driven and then braked without contact.
 
         The motion need not end at rest; the braking [m/s^2, rad/s^2] begins at `earliest` [s] or

@@ -10,7 +10,8 @@ from omniman_ros.console.terminal import paint, say
 
 #: Escape codes of the colours of the nodes' names, in turn
 PREFIX_COLOURS = ("36", "35", "33", "32", "34")
-KEPT_LINES = 30  #: Number of last lines of the nodes' output that are printed after a failure
+#: Number of last lines of the nodes' output that are printed after a failure
+OUTPUT_TAIL_LINES = 30
 
 
 class PrefixedPrinter:
@@ -40,7 +41,7 @@ class NodeOutputLog:
 
     def __init__(self, verbose: bool = False) -> None:
         self._verbose = verbose
-        self._lines: deque[str] = deque(maxlen=KEPT_LINES)
+        self._lines: deque[str] = deque(maxlen=OUTPUT_TAIL_LINES)
 
     def __call__(self, name: str, line: str) -> None:
         """Add a line of a node."""

@@ -80,7 +80,7 @@ def draw_figures(log: RobotLog, folder: Path, prefix: str) -> dict[str, Path]:
     return drawn
 
 
-def draw_way(log: RobotLog) -> Any:
+def draw_path(log: RobotLog) -> Any:
     """Draw the path of the platform from above: x points up, y to the left."""
     figure, axes = pyplot.subplots(figsize=(7, 6.5), layout="constrained")
     for poses in log.paths:
@@ -299,7 +299,7 @@ def draw_arm(log: RobotLog) -> Any:
 
 
 FIGURES = (
-    StandardFigure("way", lambda log: len(log.odom) + len(log.truth) > 0, draw_way),
+    StandardFigure("way", lambda log: len(log.odom) + len(log.truth) > 0, draw_path),
     StandardFigure(
         "twist", lambda log: len(log.odom) + len(log.truth) + len(log.twist) > 0, draw_twist
     ),

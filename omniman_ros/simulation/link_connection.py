@@ -10,7 +10,7 @@ LOOPBACK = "127.0.0.1"  #: Address of both ends, which share a machine and its c
 CHUNK = 65536  #: Largest amount of data read at once [bytes]
 
 
-class LinkError(OmnimanError):
+class SimulationLinkError(OmnimanError):
     """The link to the other side does not work any more, or not yet."""
 
 
@@ -29,9 +29,9 @@ class LinkConnection:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise LinkError(f"the connection broke: {error}") from error
+            raise SimulationLinkError(f"the connection broke: {error}") from error
         if not data:
-            raise LinkError("the other side has closed the connection")
+            raise SimulationLinkError("the other side has closed the connection")
         return data
 
     def send(self, frame: bytes) -> None:
@@ -41,9 +41,9 @@ class LinkConnection:
         except BlockingIOError:
             sent = 0
         except OSError as error:
-            raise LinkError(f"the connection broke: {error}") from error
+            raise SimulationLinkError(f"the connection broke: {error}") from error
         if sent < len(frame):
-            raise LinkError("the other side does not read")
+            raise SimulationLinkError("the other side does not read")
 
     def wait(self, timeout: float) -> bool:
         """Wait until bytes have arrived, up to `timeout` [s]; return whether they have."""

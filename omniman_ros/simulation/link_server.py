@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
+from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, SimulationLinkError
 
 Received = TypeVar("Received")  #: Type of an item that a client sends
 Sent = TypeVar("Sent")  #: Type of what is sent to a client in one call
@@ -77,7 +77,7 @@ class LinkServer(Generic[Received, Sent]):
             return []
         try:
             return self._reader.receive(self._connection.receive())
-        except (LinkError, InputError):
+        except (SimulationLinkError, InputError):
             self.disconnect()
             raise
 
@@ -87,7 +87,7 @@ class LinkServer(Generic[Received, Sent]):
             return
         try:
             self._connection.send(self._encode(item))
-        except LinkError:
+        except SimulationLinkError:
             self.disconnect()
             raise
 

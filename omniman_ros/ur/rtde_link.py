@@ -8,7 +8,7 @@ from collections.abc import Container
 from omniman_ros.ur import sockets
 from omniman_ros.ur.feedback import ArmSample
 from omniman_ros.ur.rtde_packets import ProtocolError
-from omniman_ros.ur.rtde_session import MAX_KEPT, SLIDER, RtdeSession, SessionPhase
+from omniman_ros.ur.rtde_session import MAX_UNREAD_SAMPLES, SLIDER, RtdeSession, SessionPhase
 
 RECONNECT_DELAY = 1.0  #: Time from a loss to the next attempt to connect [s]
 
@@ -18,7 +18,7 @@ class RtdeLink:
 
     Attributes:
         local: Address of this machine in the last connection, or an empty string.
-        samples: Usable data that have not been read, at most the newest `MAX_KEPT`.
+        samples: Usable data that have not been read, at most the newest `MAX_UNREAD_SAMPLES`.
         texts: Text messages of the controller that have not been read, as many.
         newest: Newest usable data; None before the first. It remains when the connection is lost,
             which its age shows.
@@ -35,8 +35,8 @@ class RtdeLink:
         self._counts = dict.fromkeys(self._session.counts, 0)
         self.loss_reason = "not connected yet"
         self.local = ""
-        self.samples: deque[ArmSample] = deque(maxlen=MAX_KEPT)
-        self.texts: deque[str] = deque(maxlen=MAX_KEPT)
+        self.samples: deque[ArmSample] = deque(maxlen=MAX_UNREAD_SAMPLES)
+        self.texts: deque[str] = deque(maxlen=MAX_UNREAD_SAMPLES)
         self.newest: ArmSample | None = None
 
     @property

@@ -35,7 +35,7 @@ class PacketType(IntEnum):
     PAUSE = 80
 
 
-class Packet(NamedTuple):
+class RtdePacket(NamedTuple):
     """One packet."""
 
     kind: int  #: Type of the packet; the peer may send any number
@@ -89,7 +89,7 @@ class PacketReader:
     def __init__(self) -> None:
         self._rest = b""
 
-    def feed(self, data: bytes) -> Iterator[Packet]:
+    def feed(self, data: bytes) -> Iterator[RtdePacket]:
         """Yield the packets that these bytes complete.
 
         Raises:
@@ -103,7 +103,7 @@ class PacketReader:
             if len(self._rest) < size:
                 return
             payload, self._rest = self._rest[HEADER.size : size], self._rest[size:]
-            yield Packet(kind, payload)
+            yield RtdePacket(kind, payload)
 
 
 @dataclass(frozen=True)

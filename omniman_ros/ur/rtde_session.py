@@ -11,11 +11,11 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.ur.feedback import ArmSample, RuntimeState
 from omniman_ros.ur.parameters import PERIOD
 from omniman_ros.ur.rtde_packets import (
-    Packet,
     PacketReader,
     PacketType,
     ProtocolError,
     Recipe,
+    RtdePacket,
     accepted,
     request_version,
     setup_outputs,
@@ -47,7 +47,7 @@ MAX_TIMESTAMP_STEP = 1.5 * PERIOD
 #: Backward step of the timestamps from which on the controller counts as restarted [s]
 RESTART_STEP = 2.0
 #: Largest number of samples, and of texts, that are kept until they are read; the newest stay
-MAX_KEPT = 1000
+MAX_UNREAD_SAMPLES = 1000
 #: Program states in which the arm stands, whatever the speed slider reports
 STANDING_STATES = (RuntimeState.PAUSED, RuntimeState.RESUMING)
 
@@ -100,8 +100,8 @@ class RtdeSession:
         self._reader = PacketReader()
         self._recipe = Recipe(0, (), ())
         self._timestamp = -math.inf
-        self._samples: deque[ArmSample] = deque(maxlen=MAX_KEPT)
-        self._texts: deque[str] = deque(maxlen=MAX_KEPT)
+        self._samples: deque[ArmSample] = deque(maxlen=MAX_UNREAD_SAMPLES)
+        self._texts: deque[str] = deque(maxlen=MAX_UNREAD_SAMPLES)
         self.phase = SessionPhase.NEW
         self.progress = -math.inf
         self.missing: frozenset[str] = frozenset()
@@ -150,7 +150,7 @@ class RtdeSession:
     def _step(self, phase: SessionPhase, now: float) -> None:
         self.phase, self.progress = phase, now
 
-    def _process(self, packet: Packet, now: float) -> bytes:
+    def _process(self, packet: RtdePacket, now: float) -> bytes:
         if packet.kind == PacketType.TEXT_MESSAGE:
             self._texts.append(text_message(packet.payload))
             return b""

@@ -7,7 +7,7 @@ from typing import Any
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.ur.dashboard_client import unlock_for_reset
 from omniman_ros.ur.parameters import UrParameters
-from omniman_ros.ur.streaming_messages import Command, StreamingPhase, StreamingReport
+from omniman_ros.ur.streaming_messages import StreamingCommand, StreamingPhase, StreamingReport
 from omniman_ros.ur.streaming_process import StreamingProcess
 
 #: Starts a streaming process; the arguments are those of :class:`StreamingProcess`
@@ -57,7 +57,7 @@ class StreamingClient:
         """Replace a process that has ended or hangs; the new one is stopped until a reset."""
         self.close()
         self.open(arm, ur)
-        self.send(Command.RESUME)
+        self.send(StreamingCommand.RESUME)
 
     def close(self) -> None:
         """End the process if there is one; it brings the arm to rest unless it hangs."""
@@ -105,7 +105,7 @@ class StreamingClient:
 
     def start_program(self, timeout: float) -> bool:
         """Have a program started; return whether setpoints are streamed within a timeout [s]."""
-        self.send(Command.START)
+        self.send(StreamingCommand.START)
         self.wait_for(lambda r: r.phase is StreamingPhase.STREAMING or bool(r.failure), timeout)
         return self.report.phase is StreamingPhase.STREAMING
 
@@ -113,7 +113,7 @@ class StreamingClient:
         """Have the arm brought to rest and the program ended; return whether that is reported."""
         if self.process is None:
             return True
-        self.send(Command.FINISH)
+        self.send(StreamingCommand.FINISH)
         return self.wait_for(lambda r: r.phase is StreamingPhase.IDLE, FINISH_TIMEOUT)
 
     def unlock_protective_stop(self, ur: UrParameters) -> None:
@@ -121,7 +121,7 @@ class StreamingClient:
         unlock_for_reset(ur)
         self.wait_for(lambda report: not report.blocking_reason, UNLOCK_TIMEOUT)
 
-    def send(self, command: Command, *arguments: Any) -> None:
+    def send(self, command: StreamingCommand, *arguments: Any) -> None:
         """Send a command; do nothing if there is no process."""
         if self.process is not None:
             self.process.send(command, *arguments)
@@ -132,13 +132,13 @@ class StreamingClient:
             return
         self._sent_stop = is_held, reason
         if reason:
-            self.send(Command.STOP, reason)
-        self.send(Command.HOLD, is_held)
+            self.send(StreamingCommand.STOP, reason)
+        self.send(StreamingCommand.HOLD, is_held)
 
     def send_reset(self) -> None:
         """Have the process clear its stop."""
         self.resets += 1
-        self.send(Command.RESET, self.resets)
+        self.send(StreamingCommand.RESET, self.resets)
 
     @property
     def progress(self) -> float:
@@ -148,7 +148,7 @@ class StreamingClient:
 
     def pass_time(self) -> None:
         """Let simulated time pass in the process, up to now."""
-        self.send(Command.TIME, self._clock())
+        self.send(StreamingCommand.TIME, self._clock())
 
     def flush(self) -> None:
         """Send messages that did not fit into the buffer; to be called periodically."""

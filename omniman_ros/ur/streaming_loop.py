@@ -25,8 +25,8 @@ from omniman_ros.ur.parameters import PERIOD, UrParameters
 from omniman_ros.ur.process_channel import ProcessChannel, ProcessChannelError
 from omniman_ros.ur.sockets import LinkError
 from omniman_ros.ur.streaming_messages import (
-    Command,
     SendTiming,
+    StreamingCommand,
     StreamingPhase,
     StreamingReport,
 )
@@ -87,21 +87,21 @@ class StreamingLoop:
         self._node_time = clock()
         self._intervals: deque[float] = deque(maxlen=10 * TIMING_COUNT)
         supervisor = self._supervisor
-        self._handlers: dict[Command, Callable[..., None]] = {
-            Command.PREVIEW: self._follow,
-            Command.START: lambda: supervisor.start(self._clock()),
-            Command.KEEP_ALIVE: lambda: None,
-            Command.RESUME: supervisor.resume,
-            Command.FINISH: supervisor.finish,
-            Command.STOP: supervisor.stop,
-            Command.HOLD: supervisor.hold,
-            Command.LIMIT: supervisor.limit_speed,
-            Command.RESET: self._reset,
-            Command.CONFIGURE: supervisor.configure,
+        self._handlers: dict[StreamingCommand, Callable[..., None]] = {
+            StreamingCommand.PREVIEW: self._follow,
+            StreamingCommand.START: lambda: supervisor.start(self._clock()),
+            StreamingCommand.KEEP_ALIVE: lambda: None,
+            StreamingCommand.RESUME: supervisor.resume,
+            StreamingCommand.FINISH: supervisor.finish,
+            StreamingCommand.STOP: supervisor.stop,
+            StreamingCommand.HOLD: supervisor.hold,
+            StreamingCommand.LIMIT: supervisor.limit_speed,
+            StreamingCommand.RESET: self._reset,
+            StreamingCommand.CONFIGURE: supervisor.configure,
         }
         self._is_simulated = isinstance(clock, GivenClock)
         if isinstance(clock, GivenClock):
-            self._handlers[Command.TIME] = partial(self._pass_time, clock)
+            self._handlers[StreamingCommand.TIME] = partial(self._pass_time, clock)
 
     def run(self) -> None:
         """Run cycles until the node ends the loop; then bring the arm to rest and close."""

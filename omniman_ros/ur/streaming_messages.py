@@ -7,7 +7,7 @@ from typing import Any
 from omniman_ros.ur.feedback import ArmSample
 
 
-class Command(Enum):
+class StreamingCommand(Enum):
     """Command of a node to its streaming process."""
 
     #: Follow a preview: times, positions, velocities and accelerations of a `JointPreview`
@@ -30,8 +30,8 @@ class Command(Enum):
 class CommandMessage:
     """A command with its arguments."""
 
-    command: Command
-    arguments: tuple[Any, ...] = ()  #: Arguments of the command, see :class:`Command`
+    command: StreamingCommand
+    arguments: tuple[Any, ...] = ()  #: Arguments of the command, see :class:`StreamingCommand`
 
 
 class StreamingPhase(Enum):

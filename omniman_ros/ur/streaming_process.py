@@ -12,7 +12,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.process_channel import ProcessChannel, ProcessChannelError
 from omniman_ros.ur.sockets import LinkError
-from omniman_ros.ur.streaming_messages import Command, CommandMessage, StreamingReport
+from omniman_ros.ur.streaming_messages import CommandMessage, StreamingCommand, StreamingReport
 
 #: Failure of a process that has ended without reporting a reason
 ENDED = "the streaming process has ended"
@@ -25,8 +25,8 @@ class StreamingProcess:
 
     Args:
         wake: Called from another thread when a message has arrived.
-        clock: Returns the simulated time [s], which the process then gets by `Command.TIME`; None
-            for the monotonic clock.
+        clock: Returns the simulated time [s], which the process then gets by
+            `StreamingCommand.TIME`; None for the monotonic clock.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class StreamingProcess:
         self._reader = threading.Thread(target=self._read, name="arm reports", daemon=True)
         self._reader.start()
 
-    def send(self, command: Command, *arguments: Any) -> None:
+    def send(self, command: StreamingCommand, *arguments: Any) -> None:
         """Send a command, unless the process has ended."""
         self._attempt(lambda: self._channel.send(CommandMessage(command, arguments)))
 

@@ -112,9 +112,9 @@ class StreamingSupervisor:
         elif self.phase is StreamingPhase.STREAMING:
             self._generator.release()
 
-    def limit_speed(self, share: float) -> None:
+    def limit_speed(self, fraction: float) -> None:
         """Keep to a fraction of the joints' speed limits, 0 to 1, from now on."""
-        self._generator.allowed.target = share
+        self._generator.allowed.target = fraction
 
     def reset(self, now: float) -> None:
         """Clear the stop if the arm can be moved, and start a program if one was requested."""

@@ -8,7 +8,7 @@ from omniman_ros.collision.arm_segments import ArmSegments
 from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.parameters import LoadShape, ToolShape
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
@@ -18,8 +18,8 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 
-POSTURE_TOLERANCE = 0.01  #: Rotation of a joint from which the footprint is computed anew [rad]
-REACH = 3.0  #: Distance up to which something counts as near [m]
+JOINT_TOLERANCE = 0.01  #: Rotation of a joint from which the footprint is computed anew [rad]
+DISPLAY_DISTANCE = 3.0  #: Distance up to which something counts as near [m]
 NEAREST_POINTS = 60  #: Number of nearest scanner points whose distances are computed
 PLATFORM_HEIGHT = 0.3  #: Height at which a line from the platform is drawn [m]
 STATIONS = np.linspace(0.0, 1.0, 11)  #: Ratios along an axis or edge where a line may begin
@@ -62,7 +62,7 @@ class BodyShapes:
         self._posture: Array | None = None
         self._corners: Array = np.zeros((0, 4, 2))
 
-    def view(self, pose: Array, joints: Array, solids: UprightSolids) -> BodyView:
+    def view(self, pose: Array, joints: Array, obstacles: UprightObstacles) -> BodyView:
         """Return the shapes at a pose, and what is nearest to them.
 
         Args:
@@ -78,30 +78,30 @@ class BodyShapes:
             axes = self._arm.capsules(frames)
             start, end, radius = axes.start.T, axes.end.T, self._arm.radius
         footprint = _in_odom(self._footprint(joints), pose)
-        nearest = self._nearest(pose, joints, solids, start, end)
+        nearest = self._nearest(pose, joints, obstacles, start, end)
         return BodyView(start, end, radius, footprint, nearest)
 
     def _footprint(self, joints: Array) -> Array:
         """Return the corners (P, 4, 2) in base_link of the rectangles at all heights [m]."""
         last = self._posture
-        if last is None or np.abs(joints - last).max() > POSTURE_TOLERANCE:
+        if last is None or np.abs(joints - last).max() > JOINT_TOLERANCE:
             self._posture = joints
             whole = self._outline.footprint(joints[None], 0.0).whole
             self._corners = whole.corners.reshape(-1, 4, 2)
         return self._corners
 
     def _nearest(
-        self, pose: Array, joints: Array, solids: UprightSolids, start: Array, end: Array
+        self, pose: Array, joints: Array, obstacles: UprightObstacles, start: Array, end: Array
     ) -> Nearest | None:
-        if not len(solids):
+        if not len(obstacles):
             return None
-        distances = self._geometry.distances(pose, joints, solids, REACH)
-        part, solid = np.unravel_index(int(distances.argmin()), distances.shape)
-        distance = float(distances[part, solid])
-        if distance >= REACH:
+        distances = self._geometry.distances(pose, joints, obstacles, DISPLAY_DISTANCE)
+        part, obstacle = np.unravel_index(int(distances.argmin()), distances.shape)
+        distance = float(distances[part, obstacle])
+        if distance >= DISPLAY_DISTANCE:
             return None
         name = self._geometry.parts[part]
-        thing = solids.select(np.array([solid]))
+        thing = obstacles.select(np.array([obstacle]))
         if self._arm is not None and name in self._arm.names:
             chosen = self._arm.link == self._arm.names.index(name)
             begin, way = start[chosen, None], (end - start)[chosen, None]
@@ -117,9 +117,9 @@ class BodyShapes:
         return Nearest(name, distance, np.stack((nearest, place)))
 
 
-def solids_around(
+def obstacles_around(
     pose: Array, others: Ellipses, placed: ObstacleArrays, scan: Array
-) -> UprightSolids:
+) -> UprightObstacles:
     """Return what is around the robot: obstacles, and the nearest points of scanners.
 
     Like the cells of a map, the points count at all heights.
@@ -135,9 +135,11 @@ def solids_around(
         0.0, placed.centers, placed.velocities, placed.semi_axes, placed.angles, np.zeros(m)
     )
     flat = np.zeros(k)
-    beams = UprightSolids(points.T, flat, np.zeros((2, k)), flat, flat - FARTHEST, flat + FARTHEST)
-    known = (ellipse_surroundings(each).solids for each in (others, own))
-    return UprightSolids.join([*known, beams])
+    beams = UprightObstacles(
+        points.T, flat, np.zeros((2, k)), flat, flat - FARTHEST, flat + FARTHEST
+    )
+    known = (ellipse_surroundings(each).obstacles for each in (others, own))
+    return UprightObstacles.join([*known, beams])
 
 
 def _in_odom(points: Array, pose: Array) -> Array:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath
+from omniman_ros.viewer.obstacle_paths import ObstaclePath, PathKind
 
 MAX_EVENTS = 1000  #: Largest number of events that wait, or are processed at once
 STOP = "stop"  #: Action of the button that stops the robot
@@ -87,7 +87,7 @@ class ObstacleMotionSet:
     """An obstacle of the page is given another kind of motion."""
 
     number: int
-    motion: Motion
+    motion: PathKind
 
 
 @dataclass(frozen=True)

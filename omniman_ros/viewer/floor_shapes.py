@@ -12,7 +12,7 @@ from omniman_ros.viewer.meshes import Mesh, joined, plate, prism, revolved, roun
 OBSTACLE_HEIGHT = 0.6  #: Height of an obstacle [m]
 CIRCLE_POINTS = 32  #: Number of corners of the polygon that approximates a circle
 BORDER_WIDTH = 0.05  #: Ratio of the width of a marker's border to the platform's width
-ARROW_REACH = 0.4  #: Distance of a marker's arrow tip from the front, over the width
+ARROW_TIP_RATIO = 0.4  #: Distance of a marker's arrow tip from the front, over the width
 KNOB_RADIUS = 0.16  #: Ratio of the radius of a marker's knob to the platform's width
 LAYER_HEIGHT = 0.004  #: Thickness of each layer of a marker [m]
 
@@ -41,7 +41,7 @@ def marker(body: Body) -> MarkerShape:
     else:
         outer = body.outline
         inner = narrowed(outer, edge)
-    tip, head, radius = 0.5 * length + ARROW_REACH * width, 0.3 * width, KNOB_RADIUS * width
+    tip, head, radius = 0.5 * length + ARROW_TIP_RATIO * width, 0.3 * width, KNOB_RADIUS * width
     base = tip - radius - head
     shaft = np.array([[0.0, -edge], [base, -edge], [base, edge], [0.0, edge]])
     point = np.array([[base, -0.6 * head], [tip - radius, 0.0], [base, 0.6 * head]])

@@ -53,8 +53,8 @@ def map_image(pixels: Pixels, pixel_size: float, corner: Array) -> MapImage:
 
 def _colours() -> Pixels:
     """Return the colours (102, 4) by the occupancy, the last one for -1."""
-    share = np.linspace(0.0, 1.0, 101)[:, None]
-    between = (1.0 - share) * np.array(FREE) + share * np.array(OCCUPIED)
+    fraction = np.linspace(0.0, 1.0, 101)[:, None]
+    between = (1.0 - fraction) * np.array(FREE) + fraction * np.array(OCCUPIED)
     return np.concatenate((between, np.zeros((1, 4)))).round().astype(np.uint8)
 
 

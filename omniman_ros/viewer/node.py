@@ -16,7 +16,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
-from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.obstacle_interface import ObstaclePublisher
 from omniman_ros.viewer.ros.page_commands import PageCommands
 from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
@@ -51,7 +51,7 @@ class ViewerNode(OmnimanNode):
         frames = PageFrames(self, p, self.state)
         self._drive = ManualDrive(self, p)
         self._robot = RobotTopics(self, self._topics, self.state, p, frames, self.draw_status)
-        self._obstacles = ObstacleInterface(self, self.state, p.odom_frame)
+        self._obstacles = ObstaclePublisher(self, self.state, p.odom_frame)
         self._planner = PlannerTopics(
             self, self._topics, self.state, p.frames, frames, self._obstacles.owns
         )

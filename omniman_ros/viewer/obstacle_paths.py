@@ -18,11 +18,11 @@ MIN_SPEED = 0.05  #: Smallest speed along way points [m/s]
 MAX_SPEED = 3.0  #: Largest speed along way points [m/s]
 MAX_WAYPOINTS = 50  #: Largest number of way points of an obstacle
 DEFAULT_SPEED = 0.5  #: Speed along way points of an obstacle that stood still before [m/s]
-DEFAULT_TURN_TIME = 3.0  #: Time after which an obstacle turns, until another is entered [s]
-SHOWN_AFTER_TURN = 2.0  #: Time for which the course after a turn is drawn [s]
+DEFAULT_REVOLUTION_TIME = 3.0  #: Time after which an obstacle turns, until another is entered [s]
+MIN_SHOWN_ROTATION = 2.0  #: Time for which the course after a turn is drawn [s]
 
 
-class Motion(Enum):
+class PathKind(Enum):
     """Kinds of paths."""
 
     STRAIGHT = "straight"
@@ -64,7 +64,7 @@ class WaypointPath:
             )
 
     @property
-    def place(self) -> Pair:
+    def position(self) -> Pair:
         """Position (x, y) at time 0 [m]."""
         return self.points[0]
 
@@ -115,9 +115,9 @@ class WaypointPath:
         s = self._arc_lengths[leg] + ratios[leg] * math.sqrt(squares[leg])
         return float(s / self.speed)
 
-    def moved_to(self, place: Pair) -> "WaypointPath":
-        """Return the path with all way points shifted, so that it begins at `place` [m]."""
-        dx, dy = place[0] - self.place[0], place[1] - self.place[1]
+    def moved_to(self, position: Pair) -> "WaypointPath":
+        """Return the path with all way points shifted, so that it begins at `position` [m]."""
+        dx, dy = position[0] - self.position[0], position[1] - self.position[1]
         return replace(self, points=tuple((x + dx, y + dy) for x, y in self.points))
 
     def with_point(self, index: int, point: Pair) -> "WaypointPath":
@@ -128,11 +128,11 @@ class WaypointPath:
 ObstaclePath = TwoVelocityPath | WaypointPath  #: Path of an obstacle
 
 
-def motion(path: ObstaclePath) -> Motion:
+def motion(path: ObstaclePath) -> PathKind:
     """Return the kind of a path."""
     if isinstance(path, WaypointPath):
-        return Motion.WAYPOINTS
-    return Motion.ONE_TURN if math.isfinite(path.time) else Motion.STRAIGHT
+        return PathKind.WAYPOINTS
+    return PathKind.ONE_TURN if math.isfinite(path.time) else PathKind.STRAIGHT
 
 
 def velocity(path: ObstaclePath, now: float) -> Pair:
@@ -140,14 +140,16 @@ def velocity(path: ObstaclePath, now: float) -> Pair:
     return path.velocity_at(now) if isinstance(path, WaypointPath) else path.speed(now)
 
 
-def moved(path: ObstaclePath, place: Pair) -> ObstaclePath:
+def moved(path: ObstaclePath, position: Pair) -> ObstaclePath:
     """Return a path of the same shape that begins at another place (x, y) [m]."""
     if isinstance(path, WaypointPath):
-        return path.moved_to(place)
-    return replace(path, place=place)
+        return path.moved_to(position)
+    return replace(path, position=position)
 
 
-def converted(home: ObstaclePath, position: Pair, velocity: Pair, wanted: Motion) -> ObstaclePath:
+def converted(
+    home: ObstaclePath, position: Pair, velocity: Pair, wanted: PathKind
+) -> ObstaclePath:
     """Return the path of an obstacle after its kind of motion was changed.
 
     Way points begin at its position, with this position as the only one. Otherwise it keeps its
@@ -159,25 +161,27 @@ def converted(home: ObstaclePath, position: Pair, velocity: Pair, wanted: Motion
     """
     if wanted is motion(home):
         return home
-    if wanted is Motion.WAYPOINTS:
+    if wanted is PathKind.WAYPOINTS:
         speed = math.hypot(*velocity)
         speed = min(max(speed, MIN_SPEED), MAX_SPEED) if speed > 0.0 else DEFAULT_SPEED
         return WaypointPath((position,), speed)
     if not isinstance(home, WaypointPath):
         velocity = home.velocity
-    if wanted is Motion.STRAIGHT:
-        return TwoVelocityPath(home.place, velocity)
-    return TwoVelocityPath(home.place, velocity, DEFAULT_TURN_TIME, (-velocity[1], velocity[0]))
+    if wanted is PathKind.STRAIGHT:
+        return TwoVelocityPath(home.position, velocity)
+    return TwoVelocityPath(
+        home.position, velocity, DEFAULT_REVOLUTION_TIME, (-velocity[1], velocity[0])
+    )
 
 
 def drawn_course(path: ObstaclePath) -> Array:
     """Return the corners (k, 2) of a path to be drawn on the floor [m].
 
     k is 0 for a straight path, which the arrow of the velocity shows. After a turn, the next
-    `SHOWN_AFTER_TURN` are drawn.
+    `MIN_SHOWN_ROTATION` are drawn.
     """
     if isinstance(path, WaypointPath):
         return path.course
     if not math.isfinite(path.time):
         return np.zeros((0, 2))
-    return np.array([path(time) for time in (0.0, path.time, path.time + SHOWN_AFTER_TURN)])
+    return np.array([path(time) for time in (0.0, path.time, path.time + MIN_SHOWN_ROTATION)])

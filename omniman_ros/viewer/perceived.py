@@ -72,7 +72,7 @@ class Contact:
     """A contact of the robot in a simulated world."""
 
     text: str  #: What touches what
-    place: Array  #: (3,) where, in the frame of the simulation [m]
+    position: Array  #: (3,) where, in the frame of the simulation [m]
     force: float  #: Magnitude of the force [N]
     received_at: float  #: Time at which it was received [s]
 
@@ -88,7 +88,7 @@ class Perceived:
     tracks_version: int = 0  #: Changes whenever the tracks change
     contacts: dict[str, Contact] = field(default_factory=dict)  #: Contacts by their names
     #: Shares that the monitor leaves; None: silent
-    speed_shares: tuple[float, float] | None = None
+    speed_fractions: tuple[float, float] | None = None
     tip_over_margin: float | None = None  #: Tip-over margin [m]; None while it is not received
     body: BodyView | None = None  #: Shapes for distances; None while they are not shown
     _scans: dict[str, tuple[Array, float]] = field(default_factory=dict)
@@ -109,9 +109,9 @@ class Perceived:
         self.tip_over_margin = margin
         self._received_at["margin"] = now
 
-    def update_speed_shares(self, shares: tuple[float, float], now: float) -> None:
-        """Store the shares of the speed limits for platform and arm, received at `now` [s]."""
-        self.speed_shares = shares
+    def update_speed_fractions(self, fractions: tuple[float, float], now: float) -> None:
+        """Store the fractions of the speed limits for platform and arm, received at `now` [s]."""
+        self.speed_fractions = fractions
         self._received_at["shares"] = now
 
     def sample(self, now: float) -> None:
@@ -126,7 +126,7 @@ class Perceived:
         if self._is_old("margin", now):
             self.tip_over_margin = None
         if self._is_old("shares", now):
-            self.speed_shares = None
+            self.speed_fractions = None
         self.contacts = {
             name: contact
             for name, contact in self.contacts.items()

@@ -11,7 +11,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.viewer import obstacle_paths
-from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath, WaypointPath
+from omniman_ros.viewer.obstacle_paths import ObstaclePath, PathKind, WaypointPath
 
 Pair = tuple[float, float]  #: x, y: a position [m], a velocity [m/s] or semi-axes [m]
 
@@ -146,11 +146,11 @@ class PlacedObstacles:
             raise InputError(f"obstacle {number} follows way points: set its speed instead")
         self.set_path(number, replace(home, velocity=velocity), now)
 
-    def set_motion(self, number: int, motion: Motion, now: float) -> None:
+    def set_motion(self, number: int, motion: PathKind, now: float) -> None:
         """Change the kind of motion of an obstacle, see :func:`obstacle_paths.converted`."""
         obstacle, time = self[number], self.time(now)
-        place, velocity = obstacle.position(time), obstacle.velocity(time)
-        path = obstacle_paths.converted(obstacle.home, place, velocity, motion)
+        position, velocity = obstacle.position(time), obstacle.velocity(time)
+        path = obstacle_paths.converted(obstacle.home, position, velocity, motion)
         self.set_path(number, path, now)
 
     def set_path(self, number: int, path: ObstaclePath, now: float) -> None:
@@ -165,7 +165,7 @@ class PlacedObstacles:
             since = time - path.time_nearest(position)
             self._store(replace(obstacle, home=path, path=path, since=since))
         else:
-            path_from_here = replace(path, place=position)
+            path_from_here = replace(path, position=position)
             self._store(replace(obstacle, home=path, path=path_from_here, since=time))
 
     def add_waypoint(self, number: int, position: Pair, now: float) -> None:
@@ -210,7 +210,7 @@ class PlacedObstacles:
             )
         for path in (obstacle.home, obstacle.path):
             if isinstance(path, TwoVelocityPath):
-                plausible.demand(np.array(path.place), plausible.LENGTH, "position")
+                plausible.demand(np.array(path.position), plausible.LENGTH, "position")
                 plausible.demand(np.array([path.velocity, path.then]), MAX_VELOCITY, "velocity")
                 if not path.time >= 0.0:
                     raise InputError(f"time {path.time} of a turn must be at least 0 s")

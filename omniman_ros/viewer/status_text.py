@@ -83,9 +83,9 @@ def _safety_rows(state: ViewState, now: float) -> Iterator[str]:
     if perceived.body is not None and perceived.body.nearest is not None:
         nearest = perceived.body.nearest
         yield _row("nearest", f"{nearest.distance:.2f} m from {nearest.part}", "")
-    shares = perceived.speed_shares
-    if shares is not None and min(shares) < 1.0:
-        platform, arm = (100.0 * share for share in shares)
+    fractions = perceived.speed_fractions
+    if fractions is not None and min(fractions) < 1.0:
+        platform, arm = (100.0 * fraction for fraction in fractions)
         yield _row("speed limit", f"platform {platform:.0f} %, arm {arm:.0f} %", WARNING)
     if perceived.tip_over_margin is not None:
         colour = BAD if perceived.tip_over_margin < 0.0 else ""

@@ -17,7 +17,7 @@ Handler = Callable[[Any, float], None]  #: Handles an event at a time [s], or re
 
 
 @dataclass(frozen=True)
-class Step:
+class TourStep:
     """A step of the tour."""
 
     text: str  #: What to do, and what happens then
@@ -25,27 +25,27 @@ class Step:
 
 
 STEPS = (
-    Step(
+    TourStep(
         "Hold Forward, or the key I: the robot drives until you let go.",
         lambda event: isinstance(event, ButtonHeld),
     ),
-    Step(
+    TourStep(
         "Press Stop, or Space: nothing moves any more until Reset.",
         lambda event: event == ButtonPressed(STOP),
     ),
-    Step(
+    TourStep(
         "Press Reset, then drag the blue goal: the robot plans its way there.",
         lambda event: isinstance(event, GoalDragged) and event.done,
     ),
-    Step(
+    TourStep(
         "Obstacles, Add: an obstacle appears ahead of the robot.",
         lambda event: event == ButtonPressed("add"),
     ),
-    Step(
+    TourStep(
         "Drag the tip of its arrow: it moves, and the planner minds where it will be.",
         lambda event: isinstance(event, ObstacleVelocitySet),
     ),
-    Step(
+    TourStep(
         "Task, Moving, then Go: the robot crosses a floor where obstacles move.",
         lambda event: event == ButtonPressed("go"),
     ),

@@ -7,11 +7,7 @@ import can
 
 
 class FakeBus:
-    """Returns the messages put in and raises the exceptions put in; can refuse to send.
-
-    Args:
-        descriptor: Whether the bus has a file descriptor.
-    """
+    """Returns the messages put in and raises the exceptions put in; can refuse to send."""
 
     def __init__(self, descriptor):
         self.items = queue.Queue()

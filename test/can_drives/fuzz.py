@@ -3,12 +3,11 @@
 import random
 
 from omniman_ros.can_drives.axis import AxisSettings
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.fuzz import examples
 
-COUNT = examples(10_000)
-"""Number of frames for each codec."""
+COUNT = examples(10_000)  #: Number of frames for each codec
 
 EDGES = (b"\x00", b"\xff", b"\x7f", b"\x80", b"\x01")
 
@@ -29,7 +28,7 @@ def frames(seed, count, ids, ids_extended=()):
             data = b"".join(chance.choice(EDGES) for _ in range(length))
         else:
             data = chance.randbytes(length)
-        yield Frame(id, data, extended, chance.random() < 0.02)
+        yield CanFrame(id, data, extended, chance.random() < 0.02)
 
 
 def settings(**changes):

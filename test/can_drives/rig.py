@@ -7,8 +7,8 @@ from pathlib import Path
 import can
 import numpy as np
 
-from omniman_ros.can_drives.drives import CanDrives, Phase
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.drives import CanDrives, CanDrivesPhase
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
@@ -20,8 +20,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "can"
 STEP = 1e-3
-LATENCY = 2e-4
-"""Latency of a frame on the bus [s]."""
+LATENCY = 2e-4  #: Latency of a frame on the bus [s]
 SPEED = np.array([4.0, 4.0, 4.0, 4.0])
 
 
@@ -75,7 +74,7 @@ class Rig:
 
     def hear(self, messages):
         for message in messages:
-            frame = Frame(
+            frame = CanFrame(
                 message.arbitration_id,
                 bytes(message.data),
                 message.is_extended_id,
@@ -112,10 +111,10 @@ class Rig:
     def up(self):
         self.run(0.05)
         self.drives.configure(self.now)
-        self.until(lambda: self.drives.phase is not Phase.CONFIGURING)
-        assert self.drives.phase is Phase.IDLE, self.drives.stop_reason
+        self.until(lambda: self.drives.phase is not CanDrivesPhase.CONFIGURING)
+        assert self.drives.phase is CanDrivesPhase.IDLE, self.drives.stop_reason
         self.drives.enable(self.now)
-        self.until(lambda: self.drives.phase is Phase.DRIVING)
+        self.until(lambda: self.drives.phase is CanDrivesPhase.DRIVING)
         return self
 
     def driving(self, speed=SPEED):

@@ -3,7 +3,7 @@
 import math
 
 from omniman_ros.can_drives.axis import AxisState, Demand, Feedback, Receipt
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.protocols import ProtocolEntry
 from omniman_ros.control.wheel_cascade import DriveMode
 
@@ -52,7 +52,7 @@ class ScriptedAxis:
         moves = demand is not Demand.IDLE and self.state is not AxisState.READY
         milli = round(1e3 * setpoint.value) if moves else 0
         data = demand.value[0].encode() + milli.to_bytes(4, "little", signed=True)
-        return [Frame(COMMAND + self.settings.node, data)]
+        return [CanFrame(COMMAND + self.settings.node, data)]
 
     def _obey(self, demand):
         if self.state is AxisState.CONFIGURING:
@@ -77,7 +77,7 @@ class ScriptedNetwork:
         return []
 
     def after(self, now):
-        return [Frame(SYNC, b"")]
+        return [CanFrame(SYNC, b"")]
 
 
 ENTRY = ProtocolEntry(ScriptedAxis, ScriptedNetwork)
@@ -88,4 +88,4 @@ def report(node, position, velocity):
     position, velocity = (
         round(1e3 * value).to_bytes(4, "little", signed=True) for value in (position, velocity)
     )
-    return Frame(REPORT + node, position + velocity)
+    return CanFrame(REPORT + node, position + velocity)

@@ -11,9 +11,9 @@ from collections import Counter
 
 import pytest
 
-from omniman_ros.can_drives.axis import AxisState, Demand, Receipt, Setpoint
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.cia402.axis import Cia402Axis
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.odrive import OdriveAxis
 from omniman_ros.can_drives.vesc import VescAxis
 from omniman_ros.control.wheel_cascade import DriveMode
@@ -22,8 +22,8 @@ from test.can_drives.fuzz import settings
 
 STEPS = 20_000
 NODE = 5
+#: Steps of time; a steady clock makes none back, but nothing may move if it did
 TIMES = [0.005] * 1500 + [0.0, 0.001, 0.02] * 30 + [0.2, 5.0, 1e6, -0.01, -3.0, -1e6]
-"""Steps of time; a steady clock makes none back, but nothing may move if it did."""
 VALUES = [0.0, 3.0, -40.0, 1e9]
 
 
@@ -72,7 +72,7 @@ class Walk:
                 [Demand.DRIVE, Demand.DRIVE, Demand.STOP, Demand.IDLE]
             )
         mode = self.chance.choice(self.modes)
-        setpoint = Setpoint(mode, self.chance.choice(VALUES), self.chance.choice(VALUES))
+        setpoint = DriveSetpoint(mode, self.chance.choice(VALUES), self.chance.choice(VALUES))
         state = axis.state
         frames = axis.tick(self.demand, setpoint, self.now)
         moved = any(map(self.moves, frames))
@@ -142,7 +142,7 @@ class Cia402Walk(Walk):
             assert not any(map(self.moves, frames))
 
     def obey(self, frames):
-        for frame in [*frames, Frame(0x080, b"")]:
+        for frame in [*frames, CanFrame(0x080, b"")]:
             if self.chance.random() < 0.99:
                 self.answers += self.drive.receive(frame)
 
@@ -151,11 +151,11 @@ class Cia402Walk(Walk):
         chance = self.chance.random()
         if chance < 0.002:
             self.drive = FakeDrive(NODE, begins_anew=True)
-            return [Frame(0x705, b"\x00")]
+            return [CanFrame(0x705, b"\x00")]
         if chance < 0.005:
             self.drive.state = self.chance.choice(list(WORDS))
         elif chance < 0.007:
-            return [*answers, Frame(0x085, self.chance.randbytes(8))]
+            return [*answers, CanFrame(0x085, self.chance.randbytes(8))]
         elif chance < 0.009:
             self.drive.nmt = 0x7F
         return [*answers, *self.drive.heartbeat()]
@@ -174,7 +174,7 @@ class VescWalk(Walk):
     def check(self, state, frames):
         (frame,) = frames
         if self.demand is Demand.IDLE or (state is AxisState.CONFIGURING):
-            assert frame == Frame(0x0105, bytes(4), True)
+            assert frame == CanFrame(0x0105, bytes(4), True)
         elif state is not AxisState.ENABLED and not any(frame.data):
             assert frame.id in (0x0105, 0x0305)
 
@@ -185,12 +185,12 @@ class VescWalk(Walk):
         chance = self.chance.random()
         if chance < 0.003:
             self.tachometer = 0
-            return [Frame(0x3905, b"\x05", True)] if chance < 0.001 else []
+            return [CanFrame(0x3905, b"\x05", True)] if chance < 0.001 else []
         self.tachometer += self.chance.randrange(-10, 30)
         supply = 0 if chance < 0.01 else 240
         status = struct.pack(">ihh", 1000, -20, self.chance.choice((-300, 0, 300)))
         status_5 = struct.pack(">ihh", self.tachometer, supply, 0)
-        return [Frame(0x0905, status, True), Frame(0x1B05, status_5, True)]
+        return [CanFrame(0x0905, status, True), CanFrame(0x1B05, status_5, True)]
 
 
 class OdriveWalk(Walk):
@@ -227,9 +227,9 @@ class OdriveWalk(Walk):
             self.state = self.chance.randrange(256)
         self.turns += self.chance.uniform(-0.1, 0.3)
         return [
-            Frame(NODE << 5 | 0x01, struct.pack("<IBxxx", self.error, self.state)),
-            Frame(NODE << 5 | 0x09, struct.pack("<ff", self.turns, 1.0)),
-            Frame(NODE << 5 | 0x17, struct.pack("<ff", 24.0, 1.0)),
+            CanFrame(NODE << 5 | 0x01, struct.pack("<IBxxx", self.error, self.state)),
+            CanFrame(NODE << 5 | 0x09, struct.pack("<ff", self.turns, 1.0)),
+            CanFrame(NODE << 5 | 0x17, struct.pack("<ff", 24.0, 1.0)),
         ]
 
 

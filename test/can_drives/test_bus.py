@@ -8,7 +8,7 @@ import pytest
 
 from omniman_ros.can_drives import bus as bus_module
 from omniman_ros.can_drives.bus import MAX_TAKEN_FRAMES, BusError, CanBus
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.can_parameters import CanParameters
 from test.can_drives.fake_bus import FakeBus, caused, message
 
@@ -107,9 +107,9 @@ def test_frames_are_returned_as_received_and_the_receiver_is_woken(bus):
     )
     assert bus.heard_of.wait(PATIENCE)
     assert take(bus, 3) == [
-        Frame(0x181, b"abc"),
-        Frame(0x1B02, b"12345678", True),
-        Frame(0x701, b"", False, True),
+        CanFrame(0x181, b"abc"),
+        CanFrame(0x1B02, b"12345678", True),
+        CanFrame(0x701, b"", False, True),
     ]
     assert list(bus.take()) == []
 
@@ -125,7 +125,7 @@ def test_frames_are_returned_as_received_and_the_receiver_is_woken(bus):
 )
 def test_an_invalid_frame_is_counted_and_the_following_frame_is_received(bus, nonsense):
     bus.fake.put(nonsense, message(0x182))
-    assert take(bus, 1) == [Frame(0x182, b"abc")]
+    assert take(bus, 1) == [CanFrame(0x182, b"abc")]
     assert bus.invalid == 1
 
 
@@ -145,7 +145,7 @@ def test_read_failure_is_reported_and_reading_continues(bus, error):
     assert said == f"cannot be read: {error}"
     assert not bus.invalid
     bus.fake.put(message())
-    assert take(bus, 1) == [Frame(0x181, b"abc")]
+    assert take(bus, 1) == [CanFrame(0x181, b"abc")]
 
 
 def test_permanently_broken_bus_does_not_wake_the_reader_continuously(bus):
@@ -164,7 +164,7 @@ def test_error_frames_are_not_data_and_only_bus_off_is_a_failure(bus):
     for flag in (0x004, 0x100, 0x040):
         bus.fake.put(message(flag, bytes(8), is_error_frame=True))
     bus.fake.put(message())
-    assert take(bus, 2) == ["off (error frame)", Frame(0x181, b"abc")]
+    assert take(bus, 2) == ["off (error frame)", CanFrame(0x181, b"abc")]
 
 
 def test_message_fields_become_plain_values(bus):
@@ -188,14 +188,14 @@ def test_flood_of_frames_is_received_in_portions(bus):
 def test_remaining_frames_are_sent_after_a_send_failure(bus):
     full = can.CanOperationError("No buffer space available")
     bus.fake.refusal = lambda sent: full if sent.arbitration_id == 2 else None
-    said = bus.send([Frame(1, b""), Frame(2, b"\x01"), Frame(3, b"", True)])
+    said = bus.send([CanFrame(1, b""), CanFrame(2, b"\x01"), CanFrame(3, b"", True)])
     assert said == "frame 002#01 not sent: No buffer space available"
     assert [(sent.arbitration_id, sent.is_extended_id) for sent in bus.fake.sent] == [
         (1, False),
         (3, True),
     ]
     bus.fake.refusal = None
-    assert bus.send([Frame(2, b"", False, True)]) == ""
+    assert bus.send([CanFrame(2, b"", False, True)]) == ""
     assert bus.fake.sent[-1].is_remote_frame
 
 
@@ -227,6 +227,6 @@ def test_closed_bus_neither_reads_nor_writes_and_may_be_closed_again(bus):
     bus.fake.put(message(0x182))
     bus.close()
     assert list(bus.take()) == []
-    assert bus.send([Frame(0x201, b"abc")]) == bus.failure == "closed"
+    assert bus.send([CanFrame(0x201, b"abc")]) == bus.failure == "closed"
     assert bus.fake.sent == []
     bus.close()

@@ -7,9 +7,9 @@ import pytest
 
 from omniman_ros.can_drives import protocols
 from omniman_ros.can_drives.axis import AxisState, Demand
-from omniman_ros.can_drives.drives import LISTEN_TIME, REST_TIME, CanDrives, Phase
+from omniman_ros.can_drives.drives import LISTEN_TIME, REST_TIME, CanDrives, CanDrivesPhase
 from omniman_ros.can_drives.foreign_host import ECHO_MEMORY
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError, ParameterError
@@ -67,10 +67,10 @@ class Bench:
 
     def up(self):
         self.configure().period(3)
-        assert self.drives.phase is Phase.IDLE
+        assert self.drives.phase is CanDrivesPhase.IDLE
         self.drives.enable(self.now)
         self.period(3)
-        assert self.drives.phase is Phase.DRIVING
+        assert self.drives.phase is CanDrivesPhase.DRIVING
         return self
 
     def driving(self, speed=SPEED):
@@ -104,14 +104,14 @@ def velocity(*speeds):
 
 def test_nothing_is_sent_before_configuration(bench):
     assert bench.drives.tick(1.0) == []
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
 
 
 def test_nothing_is_sent_before_listening_to_the_bus(bench):
     start = bench.now
     bench.drives.configure(bench.now)
     while not bench.drives.tick(bench.now):
-        assert bench.drives.phase is Phase.CONFIGURING
+        assert bench.drives.phase is CanDrivesPhase.CONFIGURING
         bench.now += PERIOD
     assert bench.now - start == pytest.approx(LISTEN_TIME, abs=PERIOD)
 
@@ -119,15 +119,15 @@ def test_nothing_is_sent_before_listening_to_the_bus(bench):
 def test_drives_commanded_by_another_host_are_not_commanded_until_that_host_is_gone(bench):
     bench.drives.configure(bench.now)
     bench.hear(report(11, 0.0, 0.0))
-    assert bench.drives.phase is Phase.CONFIGURING
-    assert bench.hear(Frame(SYNC, b"")) == []
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.CONFIGURING
+    assert bench.hear(CanFrame(SYNC, b"")) == []
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert bench.drives.stop_reason == (
         "not configured: another host commands the drives: frame 080#"
     )
     assert bench.drives.tick(bench.now + 1.0) == []
     bench.configure().period(3)
-    assert bench.drives.phase is Phase.IDLE
+    assert bench.drives.phase is CanDrivesPhase.IDLE
 
 
 def test_period_ends_with_the_frames_of_the_network(bench):
@@ -139,9 +139,9 @@ def test_silent_drives_are_named_after_the_configuration_timeout(bench):
     bench.silent = {12, 14}
     bench.configure()
     bench.period(round(bench.parameters.configure_timeout / PERIOD) - 1)
-    assert bench.drives.phase is Phase.CONFIGURING
+    assert bench.drives.phase is CanDrivesPhase.CONFIGURING
     bench.period(3)
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert bench.drives.stop_reason == (
         "not configured: front_right (node 12): silent, rear_right (node 14): silent"
     )
@@ -152,7 +152,7 @@ def test_earlier_fault_is_reset_once_during_configuration(bench):
     bench.axes[0].state, bench.axes[0].fault_reason = AxisState.FAULT, "EMCY 8130"
     bench.period(4)
     assert bench.axes[0].resets == 1
-    assert bench.drives.phase is Phase.IDLE
+    assert bench.drives.phase is CanDrivesPhase.IDLE
 
 
 def test_drive_that_refuses_its_configuration_twice_is_named(bench):
@@ -162,7 +162,7 @@ def test_drive_that_refuses_its_configuration_twice_is_named(bench):
     for _ in range(2):
         bench.axes[0].fault_reason = "SDO 1017:00: abort 06020000"
         bench.period()
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert "front_left (node 11): SDO 1017:00: abort 06020000" in bench.drives.stop_reason
 
 
@@ -174,7 +174,7 @@ def test_enabling_begins_at_zero_and_ignores_earlier_commands(bench):
         axis.obedient = False
     bench.drives.enable(bench.now)
     bench.period(5, velocity(1, 1, 1, 1))
-    assert bench.drives.phase is Phase.ENABLING
+    assert bench.drives.phase is CanDrivesPhase.ENABLING
     assert bench.asked() == [Demand.DRIVE] * 4
     assert bench.speeds() == [0.0] * 4
 
@@ -378,7 +378,7 @@ def test_fault_is_answered_at_reception_by_a_stop_of_all(bench):
         (lambda b: b.drives.stop("~/stop", b.now), "~/stop"),
         (lambda b: b.drives.on_bus_failure("off", b.now), "bus: off"),
         (
-            lambda b: b.hear(Frame(COMMAND + 13, b"d\x01\x02\x03\x04")),
+            lambda b: b.hear(CanFrame(COMMAND + 13, b"d\x01\x02\x03\x04")),
             "another host commands the drives: frame 20D#6401020304",
         ),
         (lambda b: b.hear(report(14, 0.0, 1e4)), "rear_right: runs away"),
@@ -490,7 +490,7 @@ def test_reset_moves_nothing_and_enables_again_at_zero(bench):
     for _ in range(20):
         bench.period()
         assert bench.speeds() == [0.0] * 4
-    assert bench.drives.phase is Phase.DRIVING
+    assert bench.drives.phase is CanDrivesPhase.DRIVING
     assert [axis.resets for axis in bench.axes] == [1] * 4
     bench.period(100, velocity(*SPEED))
     assert bench.speeds() == pytest.approx(SPEED)
@@ -504,7 +504,7 @@ def test_drive_that_restarted_is_configured_again_by_the_reset(bench):
     bench.period(300)
     bench.drives.reset(bench.now)
     bench.period(10)
-    assert bench.drives.phase is Phase.DRIVING
+    assert bench.drives.phase is CanDrivesPhase.DRIVING
 
 
 def test_fault_that_comes_back_after_the_reset_stops_again(bench):
@@ -529,7 +529,7 @@ def test_deactivating_stops_the_wheels_first(bench):
     assert bench.drives.is_off
     bench.drives.enable(bench.now)
     bench.period(5)
-    assert bench.drives.phase is Phase.DRIVING
+    assert bench.drives.phase is CanDrivesPhase.DRIVING
 
 
 class BrokenError(Exception):
@@ -574,7 +574,7 @@ def test_failing_axis_ends_the_configuration(bench):
     bench.configure()
     breaks(bench.axes[2])
     bench.drives.tick(bench.now)
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert bench.drives.stop_reason == (
         "not configured: rear_left: BrokenError: a codec that breaks"
     )
@@ -655,7 +655,7 @@ def test_resets_without_a_stop_change_nothing(bench):
     for _ in range(50):
         bench.drives.reset(bench.now)
         bench.period(1, velocity(*SPEED))
-    assert bench.drives.phase is Phase.DRIVING
+    assert bench.drives.phase is CanDrivesPhase.DRIVING
     assert bench.speeds() == pytest.approx(SPEED)
     assert [axis.resets for axis in bench.axes] == [0] * 4
 
@@ -670,7 +670,7 @@ def test_reset_storm_while_a_drive_stays_in_fault_never_moves_a_wheel(bench):
         bench.drives.reset(bench.now)
         bench.period(1, velocity(*SPEED))
         assert bench.speeds() == [0.0] * 4
-        assert bench.drives.phase is not Phase.DRIVING
+        assert bench.drives.phase is not CanDrivesPhase.DRIVING
     assert bench.drives.stop_reason == "front_right: fault"
 
 
@@ -680,7 +680,7 @@ def test_stop_while_the_drives_are_enabled_reaches_those_that_already_are(bench)
     bench.axes[3].obedient = False
     bench.drives.enable(bench.now)
     bench.period(2)
-    assert bench.drives.phase is Phase.ENABLING
+    assert bench.drives.phase is CanDrivesPhase.ENABLING
     assert all_commanded_to_stop(bench.drives.stop("~/stop", bench.now))
     bench.period(60)
     assert bench.drives.is_off
@@ -705,7 +705,7 @@ def test_reports_before_the_configuration_stop_nothing(bench):
     bench.hear(report(NODES[0], 0.0, 1e5))
     bench.configure()
     bench.period(3)
-    assert bench.drives.phase is Phase.IDLE
+    assert bench.drives.phase is CanDrivesPhase.IDLE
     assert not bench.drives.stop_reason
 
 
@@ -727,11 +727,11 @@ def test_one_dead_axis_gives_no_feedback_of_the_robot(bench):
 def test_bus_failure_while_the_drives_are_configured_is_the_stop_reason(bench):
     bench.configure()
     assert bench.drives.on_bus_failure("frame 000#8001 not sent: queue full", bench.now) == []
-    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert bench.drives.stop_reason == ("not configured: bus: frame 000#8001 not sent: queue full")
     bench.configure()
     bench.period(3)
-    assert bench.drives.phase is Phase.IDLE
+    assert bench.drives.phase is CanDrivesPhase.IDLE
     assert not bench.drives.stop_reason, "the next attempt begins anew"
 
 
@@ -757,9 +757,9 @@ def test_unknown_short_and_foreign_frames_are_counted_and_change_nothing(bench):
     before = bench.drives.take_states()
     assert before is not None
     for frame in (
-        Frame(0x7A5, b"12345678"),
-        Frame(0x18B, b"123"),
-        Frame(0x18B, b"12345678", extended=True),
+        CanFrame(0x7A5, b"12345678"),
+        CanFrame(0x18B, b"123"),
+        CanFrame(0x18B, b"12345678", extended=True),
     ):
         assert bench.hear(frame) == []
     assert bench.drives.host_detector.counts == {"unknown": 2, "malformed": 1}
@@ -784,8 +784,8 @@ def test_ramp_continues_on_schedule_after_a_gap_of_the_host(bench, gap, frames_f
             bench.hear(report(node, 0.0, axis.asked[-1][1].value))
     bench.drives.tick(bench.now)
     assert bench.drives.stop_reason == f"the bridge was held up for {gap:.2f} s"
-    share = max(1.0 - gap * bench.parameters.quick_stop_deceleration / 4.0, 0.0)
-    assert bench.speeds() == pytest.approx(SPEED * share, abs=0.02)
+    fraction = max(1.0 - gap * bench.parameters.quick_stop_deceleration / 4.0, 0.0)
+    assert bench.speeds() == pytest.approx(SPEED * fraction, abs=0.02)
     assert bench.asked() == [Demand.STOP] * 4
 
 

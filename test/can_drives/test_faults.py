@@ -10,9 +10,9 @@ import re
 import numpy as np
 import pytest
 
-from omniman_ros.can_drives.drives import Phase
-from omniman_ros.can_drives.frame import Frame
-from omniman_ros.can_drives.wheel_feedback import UNMOVED_TRAVEL
+from omniman_ros.can_drives.drives import CanDrivesPhase
+from omniman_ros.can_drives.frame import CanFrame
+from omniman_ros.can_drives.wheel_feedback import MIN_INTEGRATED_ANGLE
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from test.can_drives.rig import SPEED, STEP, Rig
 from test.tiers import combinations
@@ -31,7 +31,7 @@ def unmoved(rig):
     """Longest time until an encoder that stands is dead: its travel, and three reports."""
     speed = abs(SPEED[rig.names.index(WHEEL)])
     period = rig.parameters.feedback_period or rig.parameters.period
-    return UNMOVED_TRAVEL / speed + 3 * period
+    return MIN_INTEGRATED_ANGLE / speed + 3 * period
 
 
 def at_reception(rig):
@@ -75,8 +75,8 @@ FAULTS = [
 ]
 
 
+#: Faults whose reaction does not depend on the protocol: the suite plays them with cia402 only
 SAME_REACTION = ("frozen_reports", "short_reports")
-"""Faults whose reaction does not depend on the protocol: the suite plays them with cia402 only."""
 
 
 def fault_cases():
@@ -114,7 +114,7 @@ def test_one_wheel_lost_stops_all_in_bounded_time_until_a_reset(protocol, fault,
     rig.command = None
     rig.until(lambda: rig.drives.at_rest(rig.now))
     rig.drives.reset(rig.now)
-    rig.until(lambda: rig.drives.phase is Phase.DRIVING, 3.0)
+    rig.until(lambda: rig.drives.phase is CanDrivesPhase.DRIVING, 3.0)
     rig.run(0.3)
     assert rig.standing
     rig.command = WheelCommand(DriveMode.VELOCITY, np.zeros(4), SPEED)
@@ -146,7 +146,11 @@ def test_emergency_is_acted_on_at_reception_within_one_sync_and_two_milliseconds
 
 @pytest.mark.parametrize(
     "frame",
-    [Frame(0x702, b"\x00"), Frame(0x182, bytes.fromhex("1806090000")), Frame(0x702, b"\x7f")],
+    [
+        CanFrame(0x702, b"\x00"),
+        CanFrame(0x182, bytes.fromhex("1806090000")),
+        CanFrame(0x702, b"\x7f"),
+    ],
     ids=["boot-up", "fault bit", "pre-operational"],
 )
 def test_report_of_a_failing_drive_is_acted_on_at_reception(frame):
@@ -185,7 +189,7 @@ def test_drives_stop_by_themselves_when_the_host_is_frozen(protocol):
     rig.command = None
     rig.until(lambda: rig.drives.at_rest(rig.now), rig.drives.longest_stop + 0.5)
     rig.drives.reset(rig.now)
-    rig.until(lambda: rig.drives.phase is Phase.DRIVING)
+    rig.until(lambda: rig.drives.phase is CanDrivesPhase.DRIVING)
     rig.command = WheelCommand(DriveMode.VELOCITY, np.zeros(4), SPEED)
     rig.run(1.0)
     assert rig.speeds[-1] == pytest.approx(list(SPEED), abs=0.2), rig.say()
@@ -201,7 +205,7 @@ def test_fault_that_comes_back_after_its_reset_stops_again():
         rig.run(0.3)
         rig.set_faults(fault=())
         rig.drives.reset(rig.now)
-        rig.until(lambda: rig.drives.phase is Phase.DRIVING)
+        rig.until(lambda: rig.drives.phase is CanDrivesPhase.DRIVING)
         assert not rig.drives.stop_reason
         rig.command = WheelCommand(DriveMode.VELOCITY, np.zeros(4), SPEED)
         rig.run(0.5)
@@ -250,8 +254,8 @@ def test_drive_that_cannot_be_configured_is_named_and_nothing_is_enabled(fault, 
     rig.set_faults(**fault)
     rig.run(0.05)
     rig.drives.configure(rig.now)
-    rig.until(lambda: rig.drives.phase is not Phase.CONFIGURING)
-    assert rig.drives.phase is Phase.UNCONFIGURED
+    rig.until(lambda: rig.drives.phase is not CanDrivesPhase.CONFIGURING)
+    assert rig.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert re.search(reason, rig.drives.stop_reason), rig.drives.stop_reason
 
 
@@ -269,7 +273,7 @@ def test_drive_that_is_not_enabled_keeps_all_at_zero_and_is_named(protocol, faul
     rig = Rig(protocol)
     rig.run(0.05)
     rig.drives.configure(rig.now)
-    rig.until(lambda: rig.drives.phase is Phase.IDLE)
+    rig.until(lambda: rig.drives.phase is CanDrivesPhase.IDLE)
     rig.set_faults(**{fault: (WHEEL,)})
     rig.command = WheelCommand(DriveMode.VELOCITY, np.zeros(4), SPEED)
     rig.drives.enable(rig.now)
@@ -302,10 +306,10 @@ def test_position_is_continuous_over_encoder_wraps(start):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0x000, b"\x80\x00"),
-        Frame(0x202, (0x0F).to_bytes(2, "little") + (123456).to_bytes(4, "little") + b"\x09"),
-        Frame(0x602, bytes.fromhex("23FF600040E20100")),
-        Frame(0x77F, b"\x7f"),
+        CanFrame(0x000, b"\x80\x00"),
+        CanFrame(0x202, (0x0F).to_bytes(2, "little") + (123456).to_bytes(4, "little") + b"\x09"),
+        CanFrame(0x602, bytes.fromhex("23FF600040E20100")),
+        CanFrame(0x77F, b"\x7f"),
     ],
     ids=["NMT", "RPDO", "SDO", "heartbeat"],
 )
@@ -319,14 +323,14 @@ def test_second_host_stops_all(frame):
 def test_unknown_extended_and_empty_frames_change_nothing():
     rig = Rig("cia402").driving()
     for frame in (
-        Frame(0x7FF, b"\x00"),
-        Frame(0x182, b"", True),
-        Frame(0x182, b""),
-        Frame(0x282, b"\x01"),
-        Frame(0x702, b""),
-        Frame(0x082, b"\x10\x23"),
-        Frame(0x182, b"", False, True),
-        Frame(0x1FFFFFFF, bytes(8), True),
+        CanFrame(0x7FF, b"\x00"),
+        CanFrame(0x182, b"", True),
+        CanFrame(0x182, b""),
+        CanFrame(0x282, b"\x01"),
+        CanFrame(0x702, b""),
+        CanFrame(0x082, b"\x10\x23"),
+        CanFrame(0x182, b"", False, True),
+        CanFrame(0x1FFFFFFF, bytes(8), True),
     ):
         assert rig.drives.receive(frame, rig.now) == []
     rig.run(0.3)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omniman_ros.can_drives.frame import Frame, bus_load, count_stuff_bits, crc15, frame_bits
+from omniman_ros.can_drives.frame import CanFrame, bus_load, count_stuff_bits, crc15, frame_bits
 from omniman_ros.core.errors import InputError
 
 
@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 def any_frames(draw):
     extended, remote = draw(st.booleans()), draw(st.booleans())
     id = draw(st.integers(0, 2**29 - 1 if extended else 2**11 - 1))
-    return Frame(id, b"" if remote else draw(st.binary(max_size=8)), extended, remote)
+    return CanFrame(id, b"" if remote else draw(st.binary(max_size=8)), extended, remote)
 
 
 def written_out(frame):
@@ -76,9 +76,9 @@ def test_stuff_bit_follows_five_equal_bits_and_counts_itself(bits, count):
     "frame, length",
     [
         # Whole frames written out in the tests of CanOverhead, stuff bits marked.
-        (Frame(0, b""), 47 + 6),
-        (Frame(0, b"\0"), 55 + 4),
-        (Frame(0x133, b"\xff\0\0\0\0\0\0\xff"), 111 + 12),  # the last one after the CRC
+        (CanFrame(0, b""), 47 + 6),
+        (CanFrame(0, b"\0"), 55 + 4),
+        (CanFrame(0x133, b"\xff\0\0\0\0\0\0\xff"), 111 + 12),  # the last one after the CRC
     ],
 )
 def test_length_of_published_frames(frame, length):
@@ -126,12 +126,12 @@ def test_crc_is_the_remainder_of_a_long_division(bits):
 
 
 def test_request_carries_no_data_bits():
-    request = Frame(0x0B4, b"", remote=True)
+    request = CanFrame(0x0B4, b"", remote=True)
     assert 47 <= frame_bits(request) <= 47 + 8
 
 
 def test_load_is_the_share_of_busy_bits():
-    frames = [Frame(0, b"")] * 100
+    frames = [CanFrame(0, b"")] * 100
     assert bus_load(frames, 1.0, 53_000) == pytest.approx(0.1)
     assert bus_load(frames, 0.5, 53_000) == pytest.approx(0.2)
     assert bus_load([], 1.0, 1e6) == 0.0
@@ -146,10 +146,10 @@ def test_load_in_no_time_is_refused(duration, bitrate):
 @pytest.mark.parametrize(
     "frame",
     [
-        Frame(0x800, b""),
-        Frame(-1, b""),
-        Frame(1 << 29, b"", extended=True),
-        Frame(1, bytes(9)),
+        CanFrame(0x800, b""),
+        CanFrame(-1, b""),
+        CanFrame(1 << 29, b"", extended=True),
+        CanFrame(1, bytes(9)),
     ],
 )
 def test_frame_that_is_not_classic_can_is_refused(frame):

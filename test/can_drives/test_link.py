@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.can_drives import protocols
 from omniman_ros.can_drives.bus import MAX_TAKEN_FRAMES
-from omniman_ros.can_drives.drives import LISTEN_TIME, Phase
+from omniman_ros.can_drives.drives import LISTEN_TIME, CanDrivesPhase
 from omniman_ros.can_drives.link import CanLink
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
@@ -51,12 +51,12 @@ def up(link):
     for _ in range(3):
         reports(link)
         link.tick()
-    assert link.drives.phase is Phase.IDLE
+    assert link.drives.phase is CanDrivesPhase.IDLE
     link.drives.enable(link._clock())
     for _ in range(3):
         reports(link)
         link.tick()
-    assert link.drives.phase is Phase.DRIVING
+    assert link.drives.phase is CanDrivesPhase.DRIVING
     link.fake.sent.clear()
     return link
 
@@ -133,8 +133,8 @@ def test_every_bus_event_stops_all_within_the_period(link, happen, reason):
 def test_bus_that_fails_while_the_drives_are_configured_ends_that_with_its_reason(link):
     link.drives.configure(link._clock())
     link.fake.refusal = lambda sent: OSError(105, "No buffer space available")
-    assert link.run_until(lambda: link.drives.phase is not Phase.CONFIGURING, 1.0)
-    assert link.drives.phase is Phase.UNCONFIGURED
+    assert link.run_until(lambda: link.drives.phase is not CanDrivesPhase.CONFIGURING, 1.0)
+    assert link.drives.phase is CanDrivesPhase.UNCONFIGURED
     assert link.drives.stop_reason.startswith("not configured: bus: frame ")
     assert "No buffer space" in link.drives.stop_reason
 

@@ -8,9 +8,9 @@ from omniman_ros.can_drives.axis import Feedback
 from omniman_ros.can_drives.wheel_feedback import (
     MAX_REPORT_INTERVAL,
     MIN_COMPARED_SPEED,
+    MIN_INTEGRATED_ANGLE,
     RUNAWAY_SPEED,
     UNMOVED_REPORTS,
-    UNMOVED_TRAVEL,
     WheelMonitor,
 )
 
@@ -70,7 +70,7 @@ def test_supply_that_is_known_must_suffice(supply, said):
 def test_encoder_that_stands_while_its_drive_reports_a_speed_is_dead(speed):
     said, after = Wheel().until_reported(speed, 0.0)
     assert said == f"its encoder moved 0.000 rad while it reported {speed:.1f} rad/s"
-    assert after == pytest.approx(UNMOVED_TRAVEL / abs(speed), abs=2.5 * PERIOD)
+    assert after == pytest.approx(MIN_INTEGRATED_ANGLE / abs(speed), abs=2.5 * PERIOD)
 
 
 @pytest.mark.parametrize("driven", [0.3, 0.337, 0.371])
@@ -79,13 +79,13 @@ def test_encoder_that_freezes_in_motion_is_dead_after_the_same_travel(driven):
     assert wheel.until_reported(4.0, None, patience=driven)[0] == ""
     said, after = wheel.until_reported(4.0, 0.0)
     assert said
-    assert after == pytest.approx(UNMOVED_TRAVEL / 4.0, abs=2.5 * PERIOD)
+    assert after == pytest.approx(MIN_INTEGRATED_ANGLE / 4.0, abs=2.5 * PERIOD)
 
 
 def test_encoder_that_creeps_while_its_drive_reports_a_speed_is_dead():
     said, after = Wheel().until_reported(4.0, 0.05 * 4.0 * PERIOD)
     assert said.startswith("its encoder moved 0.01")
-    assert after < 2.0 * UNMOVED_TRAVEL / 4.0
+    assert after < 2.0 * MIN_INTEGRATED_ANGLE / 4.0
 
 
 @pytest.mark.parametrize("steps_per_turn", [42, 90, 4096])
@@ -133,7 +133,7 @@ def test_one_report_after_a_silence_does_not_cover_the_silence():
     wheel = Wheel()
     wheel.report(4.0)
     assert wheel.report(4.0, 0.0, period=60.0) == ""
-    assert MAX_REPORT_INTERVAL * 4.0 <= UNMOVED_TRAVEL
+    assert MAX_REPORT_INTERVAL * 4.0 <= MIN_INTEGRATED_ANGLE
 
 
 def test_time_that_goes_back_or_stands_causes_no_alarm():
@@ -157,4 +157,4 @@ def test_restart_clears_the_monitor_state():
     wheel.monitor.restart()
     said, after = wheel.until_reported(4.0, 0.0)
     assert said
-    assert after >= UNMOVED_TRAVEL / 4.0
+    assert after >= MIN_INTEGRATED_ANGLE / 4.0

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omniman_ros.can_drives import odrive
-from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.axis import REST, AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.odrive import OdriveAxis, error_text
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import ParameterError
@@ -19,7 +19,7 @@ from test.can_drives.fuzz import settings as axis_settings
 NODE = 5
 DT = 0.005
 PATIENCE = 3 * 0.03 + DT
-FAST = Setpoint(DriveMode.VELOCITY, 30.0)
+FAST = DriveSetpoint(DriveMode.VELOCITY, 30.0)
 IDLE, CLOSED_LOOP = 1, 8
 examples = settings(deadline=None, derandomize=True, max_examples=300)
 
@@ -28,20 +28,20 @@ def id_of(command):
     return NODE << 5 | command
 
 
-ZERO = Frame(id_of(0x0D), bytes(8))
-ASK_IDLE = Frame(id_of(0x07), bytes([IDLE, 0, 0, 0, 0, 0, 0, 0]))
-ASK_CLOSED_LOOP = Frame(id_of(0x07), bytes([CLOSED_LOOP, 0, 0, 0, 0, 0, 0, 0]))
-VELOCITY_MODE = Frame(id_of(0x0B), bytes([2, 0, 0, 0, 1, 0, 0, 0]))
-TORQUE_MODE = Frame(id_of(0x0B), bytes([1, 0, 0, 0, 1, 0, 0, 0]))
-CLEAR = Frame(id_of(0x18), bytes(8))
+ZERO = CanFrame(id_of(0x0D), bytes(8))
+ASK_IDLE = CanFrame(id_of(0x07), bytes([IDLE, 0, 0, 0, 0, 0, 0, 0]))
+ASK_CLOSED_LOOP = CanFrame(id_of(0x07), bytes([CLOSED_LOOP, 0, 0, 0, 0, 0, 0, 0]))
+VELOCITY_MODE = CanFrame(id_of(0x0B), bytes([2, 0, 0, 0, 1, 0, 0, 0]))
+TORQUE_MODE = CanFrame(id_of(0x0B), bytes([1, 0, 0, 0, 1, 0, 0, 0]))
+CLEAR = CanFrame(id_of(0x18), bytes(8))
 
 
 def heartbeat(state=IDLE, error=0):
-    return Frame(id_of(0x01), struct.pack("<IBxxx", error, state))
+    return CanFrame(id_of(0x01), struct.pack("<IBxxx", error, state))
 
 
 def encoder(position=0.0, speed=0.0):
-    return Frame(id_of(0x09), struct.pack("<ff", position, speed))
+    return CanFrame(id_of(0x09), struct.pack("<ff", position, speed))
 
 
 def tick(axis, demand, setpoint=REST, now=0.0):
@@ -100,7 +100,7 @@ def decoded(frame, version):
 def encoded(name, version, **signals):
     message = database(version).get_message_by_name(f"Axis{NODE}_{name}")
     values = {signal.name: 0 for signal in message.signals} | signals
-    return Frame(message.frame_id, message.encode(values))
+    return CanFrame(message.frame_id, message.encode(values))
 
 
 @pytest.mark.parametrize("version", ["0.5.6", "0.6.10"])
@@ -119,7 +119,7 @@ def test_configuration_decodes_in_the_published_data_base(version):
 @given(st.floats(-500, 500), st.floats(-2, 2), st.sampled_from(["0.5.6", "0.6.10"]))
 def test_velocities_decode_in_the_published_data_base(speed, torque, version):
     axis = in_state(AxisState.ENABLED, feed_forward=True)
-    (frame,) = tick(axis, Demand.DRIVE, Setpoint(DriveMode.VELOCITY, speed, torque))
+    (frame,) = tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, speed, torque))
     name, signals = decoded(frame, version)
     assert name == "Set_Input_Vel"
     assert signals["Input_Vel"] * math.tau == pytest.approx(speed, rel=1e-6, abs=1e-30)
@@ -130,7 +130,7 @@ def test_velocities_decode_in_the_published_data_base(speed, torque, version):
 @given(st.floats(-2, 2), st.sampled_from(["0.5.6", "0.6.10"]))
 def test_torques_decode_in_the_published_data_base(torque, version):
     axis = in_state(AxisState.ENABLED)
-    frame = tick(axis, Demand.DRIVE, Setpoint(DriveMode.TORQUE, torque))[-1]
+    frame = tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, torque))[-1]
     name, signals = decoded(frame, version)
     assert name == "Set_Input_Torque"
     assert signals["Input_Torque"] == pytest.approx(torque, rel=1e-6, abs=1e-30)
@@ -178,7 +178,7 @@ def test_error_names_are_those_of_the_published_data_base(version, table, skip):
 def test_published_heartbeat_is_read():
     # odrive-can's documentation, "Odrive cansimple interface": error INVALID_STATE, state HOMING.
     axis = in_state(AxisState.READY)
-    axis.receive(Frame(id_of(0x01), b"\x01\x00\x00\x00\x0b\x00\x00\x00"), DT)
+    axis.receive(CanFrame(id_of(0x01), b"\x01\x00\x00\x00\x0b\x00\x00\x00"), DT)
     assert axis.state is AxisState.FAULT
     assert "INVALID_STATE" in axis.fault_reason
 
@@ -297,7 +297,7 @@ def test_heartbeat_of_before_the_request_does_not_show_idle():
 def test_stop_follows_the_ramp():
     axis = in_state(AxisState.ENABLED)
     for speed in (30.0, 10.0, 0.0, 0.0):
-        (frame,) = tick(axis, Demand.STOP, Setpoint(DriveMode.VELOCITY, speed))
+        (frame,) = tick(axis, Demand.STOP, DriveSetpoint(DriveMode.VELOCITY, speed))
         assert frame.id == ZERO.id
         assert struct.unpack("<ff", frame.data)[0] * math.tau == pytest.approx(speed)
     assert axis.state is AxisState.ENABLED
@@ -305,9 +305,9 @@ def test_stop_follows_the_ramp():
 
 def test_another_mode_is_announced_after_its_zero_and_before_its_setpoint():
     axis = in_state(AxisState.ENABLED)
-    torque = Setpoint(DriveMode.TORQUE, 0.5)
-    wanted = Frame(id_of(0x0E), struct.pack("<ff", 0.5, 0.0))
-    zero = Frame(id_of(0x0E), bytes(8))
+    torque = DriveSetpoint(DriveMode.TORQUE, 0.5)
+    wanted = CanFrame(id_of(0x0E), struct.pack("<ff", 0.5, 0.0))
+    zero = CanFrame(id_of(0x0E), bytes(8))
     tick(axis, Demand.DRIVE, FAST)
     assert tick(axis, Demand.DRIVE, torque) == [zero, TORQUE_MODE, wanted]
     assert tick(axis, Demand.DRIVE, torque) == [wanted]
@@ -317,10 +317,10 @@ def test_another_mode_is_announced_after_its_zero_and_before_its_setpoint():
 
 def test_axis_is_enabled_in_velocity_mode_after_torque_mode():
     axis = in_state(AxisState.ENABLED)
-    tick(axis, Demand.DRIVE, Setpoint(DriveMode.TORQUE, 0.5), DT)
+    tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, 0.5), DT)
     tick(axis, Demand.IDLE, now=2 * DT)
     axis.receive(heartbeat(), 3 * DT)
-    sent = tick(axis, Demand.DRIVE, Setpoint(DriveMode.TORQUE, 0.5), 4 * DT)
+    sent = tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, 0.5), 4 * DT)
     assert sent.index(ZERO) < sent.index(VELOCITY_MODE) < sent.index(ASK_CLOSED_LOOP)
 
 
@@ -330,7 +330,7 @@ def test_axis_is_enabled_in_velocity_mode_after_torque_mode():
 def test_axis_that_is_not_enabled_does_not_move(demand, state, mode):
     axis = in_state(state)
     for k in range(1, 60):
-        sent = tick(axis, demand, Setpoint(mode, 5.0, 1.0), k * DT)
+        sent = tick(axis, demand, DriveSetpoint(mode, 5.0, 1.0), k * DT)
         assert sent and not any(map(moves, sent))
 
 
@@ -346,7 +346,7 @@ def test_each_tick_feeds_the_watchdog(state):
 @pytest.mark.parametrize("feed_forward, sent", [(True, 0.25), (False, 0.0)])
 def test_feed_forward_torque_is_sent_if_configured(feed_forward, sent):
     axis = in_state(AxisState.ENABLED, feed_forward=feed_forward)
-    (frame,) = tick(axis, Demand.DRIVE, Setpoint(DriveMode.VELOCITY, 0.0, 0.25))
+    (frame,) = tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, 0.0, 0.25))
     assert struct.unpack("<ff", frame.data) == (0.0, sent)
 
 
@@ -361,7 +361,7 @@ def test_feed_forward_torque_is_sent_if_configured(feed_forward, sent):
 )
 def test_setpoints_are_clipped(mode, value, sent):
     axis = in_state(AxisState.ENABLED, feed_forward=True)
-    frame = tick(axis, Demand.DRIVE, Setpoint(mode, value, 1e300))[-1]
+    frame = tick(axis, Demand.DRIVE, DriveSetpoint(mode, value, 1e300))[-1]
     assert struct.unpack("<ff", frame.data) == pytest.approx(sent)
 
 
@@ -369,7 +369,10 @@ def test_setpoints_are_clipped(mode, value, sent):
 @pytest.mark.parametrize("state", [AxisState.OFFLINE, AxisState.READY, AxisState.ENABLED])
 def test_setpoints_that_are_not_finite_raise(bad, state):
     axis = in_state(state)
-    for setpoint in (Setpoint(DriveMode.VELOCITY, bad), Setpoint(DriveMode.VELOCITY, 0.0, bad)):
+    for setpoint in (
+        DriveSetpoint(DriveMode.VELOCITY, bad),
+        DriveSetpoint(DriveMode.VELOCITY, 0.0, bad),
+    ):
         with pytest.raises(ValueError, match="must be finite"):
             axis.tick(Demand.DRIVE, setpoint, 0.0)
 
@@ -501,7 +504,7 @@ def test_fastest_possible_motion_is_no_restart():
 def test_voltage_is_refused():
     axis = in_state(AxisState.ENABLED)
     assert DriveMode.VOLTAGE not in axis.modes
-    assert tick(axis, Demand.DRIVE, Setpoint(DriveMode.VOLTAGE, 12.0)) == [ZERO]
+    assert tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.VOLTAGE, 12.0)) == [ZERO]
     assert axis.fault_reason == "it does not support voltage mode"
 
 
@@ -575,7 +578,7 @@ def test_values_reported_periodically_are_not_requested():
     for k in range(200):
         now = k * DT
         axis.receive(heartbeat(), now)
-        axis.receive(Frame(id_of(0x14), struct.pack("<ff", 0.0, 1.0)), now)
+        axis.receive(CanFrame(id_of(0x14), struct.pack("<ff", 0.0, 1.0)), now)
         asked += [f.id & 31 for f in axis.tick(Demand.IDLE, REST, now) if f.remote]
     assert set(asked) == {0x17}
 
@@ -588,19 +591,19 @@ def test_values_reported_periodically_are_not_requested():
     [
         (encoder(), Receipt.ACCEPTED),
         (heartbeat(), Receipt.ACCEPTED),
-        (Frame(id_of(0x15), bytes(8)), Receipt.ACCEPTED),
-        (Frame(id_of(0x09), bytes(7)), Receipt.MALFORMED),
-        (Frame(id_of(0x01), bytes(7)), Receipt.MALFORMED),
-        (Frame(id_of(0x09), bytes(8), extended=True), Receipt.MALFORMED),
+        (CanFrame(id_of(0x15), bytes(8)), Receipt.ACCEPTED),
+        (CanFrame(id_of(0x09), bytes(7)), Receipt.MALFORMED),
+        (CanFrame(id_of(0x01), bytes(7)), Receipt.MALFORMED),
+        (CanFrame(id_of(0x09), bytes(8), extended=True), Receipt.MALFORMED),
         (encoder(math.nan), Receipt.MALFORMED),
         (encoder(0.0, math.inf), Receipt.MALFORMED),
         (encoder(-math.inf), Receipt.MALFORMED),
-        (Frame(id_of(0x14), struct.pack("<ff", 0.0, math.nan)), Receipt.MALFORMED),
-        (Frame(id_of(0x17), struct.pack("<ff", math.inf, 0.0)), Receipt.MALFORMED),
-        (Frame(id_of(0x14), b"", remote=True), Receipt.FOREIGN),
-        (Frame(id_of(0x0D), bytes(8)), Receipt.FOREIGN),
-        (Frame(id_of(0x09) + 32, bytes(8)), Receipt.FOREIGN),
-        (Frame(1 << 11 | id_of(0x09), bytes(8), extended=True), Receipt.FOREIGN),
+        (CanFrame(id_of(0x14), struct.pack("<ff", 0.0, math.nan)), Receipt.MALFORMED),
+        (CanFrame(id_of(0x17), struct.pack("<ff", math.inf, 0.0)), Receipt.MALFORMED),
+        (CanFrame(id_of(0x14), b"", remote=True), Receipt.FOREIGN),
+        (CanFrame(id_of(0x0D), bytes(8)), Receipt.FOREIGN),
+        (CanFrame(id_of(0x09) + 32, bytes(8)), Receipt.FOREIGN),
+        (CanFrame(1 << 11 | id_of(0x09), bytes(8), extended=True), Receipt.FOREIGN),
     ],
 )
 def test_frames_are_sorted(frame, receipt):
@@ -617,7 +620,7 @@ def test_each_command_that_is_sent_is_one_of_a_host():
     axis.reset(0.0)
     sent = tick(axis, Demand.IDLE)
     axis = in_state(AxisState.ENABLED)
-    sent += tick(axis, Demand.DRIVE, Setpoint(DriveMode.TORQUE, 1.0))
+    sent += tick(axis, Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, 1.0))
     assert {frame.id & 31 for frame in sent} == {0x07, 0x0B, 0x0D, 0x0E, 0x0F, 0x18}
     assert all((frame.id, frame.extended) in axis.command_ids for frame in sent)
 

@@ -10,8 +10,8 @@ import weakref
 import can
 import pytest
 
-from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.axis import REST, AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.odrive import OdriveAxis
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.can_drives.fuzz import settings
@@ -23,7 +23,7 @@ NODE = 5
 PERIOD = 0.02
 PATIENCE = 30.0
 TURN = math.tau
-SPEED = Setpoint(DriveMode.VELOCITY, 2.0 * TURN)
+SPEED = DriveSetpoint(DriveMode.VELOCITY, 2.0 * TURN)
 
 
 class Drive:
@@ -86,7 +86,9 @@ class Host:
             now = time.monotonic()
             assert now < end, (self.axis.state, self.axis.fault_reason, self.axis.feedback)
             while (message := self._bus.recv(0.0)) is not None:
-                frame = Frame(message.arbitration_id, bytes(message.data), message.is_extended_id)
+                frame = CanFrame(
+                    message.arbitration_id, bytes(message.data), message.is_extended_id
+                )
                 if self.axis.receive(frame, now) is not Receipt.ACCEPTED:
                     self.refused.append(frame)
             for frame in self.axis.tick(demand, setpoint, now):
@@ -130,7 +132,7 @@ def test_mock_is_configured_enabled_driven_stopped_and_released(pair):
     speed = (feedback.position - start) / (feedback.at - began)
     assert speed == pytest.approx(2.0 * TURN, rel=0.3)
 
-    back = Setpoint(DriveMode.VELOCITY, -1.0 * TURN)
+    back = DriveSetpoint(DriveMode.VELOCITY, -1.0 * TURN)
     host.run(Demand.STOP, back, lambda: feedback.velocity == pytest.approx(-1.0 * TURN))
     host.run(Demand.STOP, REST, lambda: feedback.velocity == 0.0)
     host.run(Demand.IDLE, REST, lambda: axis.state is AxisState.READY)
@@ -144,7 +146,7 @@ def test_mock_gets_another_mode_and_answers_requests(pair):
     axis.configure(time.monotonic())
     host.run(Demand.IDLE, REST, lambda: axis.state is AxisState.READY)
     host.run(Demand.DRIVE, REST, lambda: axis.state is AxisState.ENABLED)
-    torque = Setpoint(DriveMode.TORQUE, 0.1)
+    torque = DriveSetpoint(DriveMode.TORQUE, 0.1)
     host.run(Demand.DRIVE, torque, lambda: drive.control_mode == "TORQUE_CONTROL")
     host.run(Demand.STOP, REST, lambda: drive.control_mode == "VELOCITY_CONTROL")
     host.run(Demand.STOP, REST, lambda: feedback.current == feedback.bus_voltage == 0.0)

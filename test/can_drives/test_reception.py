@@ -7,16 +7,16 @@ import can
 import pytest
 
 from omniman_ros.can_drives.bus import CanBus
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.reception import RECEIVE_BUFFER, is_invalid_frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.nodes.can_receiver import open_bus
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 
+#: Largest buffer that this machine grants [bytes]
 GRANTED = int(Path("/proc/sys/net/core/rmem_max").read_text())
-"""Largest buffer that this machine grants [bytes]."""
+#: Frames of a second: four drives, two reports and a setpoint each, 100 times a second
 SECOND = 1200
-"""Frames of a second: four drives, two reports and a setpoint each, 100 times a second."""
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_frames_of_a_second_wait_for_a_reader_that_waits_for_a_core(parameters):
         received = []
         while frames := list(bridge.take()):
             received += frames
-        expected = [Frame(0x281, number.to_bytes(8, "little")) for number in range(SECOND)]
+        expected = [CanFrame(0x281, number.to_bytes(8, "little")) for number in range(SECOND)]
         assert received == expected
     finally:
         bridge.close()

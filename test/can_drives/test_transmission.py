@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from omniman_ros.can_drives.axis import Feedback, Setpoint
+from omniman_ros.can_drives.axis import DriveSetpoint, Feedback
 from omniman_ros.can_drives.transmission import (
     Transmission,
     axis_settings,
@@ -63,9 +63,9 @@ def test_torques_are_clipped_at_the_wheel(torque, most):
 @pytest.mark.parametrize(
     ("mode", "expected"),
     [
-        (DriveMode.VELOCITY, Setpoint(DriveMode.VELOCITY, -60.0, 4.0 / 0.8 / -20.0)),
-        (DriveMode.TORQUE, Setpoint(DriveMode.TORQUE, 4.0 / 0.8 / -20.0)),
-        (DriveMode.VOLTAGE, Setpoint(DriveMode.VOLTAGE, -4.0)),
+        (DriveMode.VELOCITY, DriveSetpoint(DriveMode.VELOCITY, -60.0, 4.0 / 0.8 / -20.0)),
+        (DriveMode.TORQUE, DriveSetpoint(DriveMode.TORQUE, 4.0 / 0.8 / -20.0)),
+        (DriveMode.VOLTAGE, DriveSetpoint(DriveMode.VOLTAGE, -4.0)),
     ],
 )
 def test_setpoints_are_those_of_the_motors_shaft(mode, expected):
@@ -73,7 +73,9 @@ def test_setpoints_are_those_of_the_motors_shaft(mode, expected):
 
 
 def voltage(volts, **feedback):
-    return GEAR.voltage_to_torque(Setpoint(DriveMode.VOLTAGE, volts), Feedback(**feedback)).value
+    return GEAR.voltage_to_torque(
+        DriveSetpoint(DriveMode.VOLTAGE, volts), Feedback(**feedback)
+    ).value
 
 
 def test_voltage_becomes_the_torque_of_the_motors_law():
@@ -90,9 +92,10 @@ def test_voltage_is_within_the_measured_supply_and_the_motors_limit(supply, limi
     loose = replace(GEAR, max_torque=1e6)
     for sign in (1.0, -1.0):
         torque = loose.voltage_to_torque(
-            Setpoint(DriveMode.VOLTAGE, sign * 1e308), Feedback(velocity=0.0, bus_voltage=supply)
+            DriveSetpoint(DriveMode.VOLTAGE, sign * 1e308),
+            Feedback(velocity=0.0, bus_voltage=supply),
         )
-        assert torque == Setpoint(DriveMode.TORQUE, pytest.approx(sign * 0.05 * limit / 0.5))
+        assert torque == DriveSetpoint(DriveMode.TORQUE, pytest.approx(sign * 0.05 * limit / 0.5))
 
 
 @pytest.mark.parametrize("velocity", [math.nan, math.inf, -math.inf])

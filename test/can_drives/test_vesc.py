@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.axis import REST, AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.vesc import VescAxis
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import ParameterError
@@ -17,9 +17,9 @@ NODE = 5
 DUTY, CURRENT, RPM = 0x0005, 0x0105, 0x0305
 STATUS, STATUS_5 = 0x0905, 0x1B05
 DT = 0.005
-FAST = Setpoint(DriveMode.VELOCITY, 30.0)
-RELEASE = Frame(CURRENT, bytes(4), True)
-STAND = Frame(RPM, bytes(4), True)
+FAST = DriveSetpoint(DriveMode.VELOCITY, 30.0)
+RELEASE = CanFrame(CURRENT, bytes(4), True)
+STAND = CanFrame(RPM, bytes(4), True)
 examples = settings(deadline=None, derandomize=True, max_examples=300)
 
 
@@ -30,12 +30,12 @@ def int_of(data, start=0, stop=None):
 def status(erpm=0, current=0, duty=0):
     """A report as comm_can_send_status1 packs it."""
     parts = ((erpm, 4), (current, 2), (duty, 2))
-    return Frame(STATUS, b"".join(v.to_bytes(n, "big", signed=True) for v, n in parts), True)
+    return CanFrame(STATUS, b"".join(v.to_bytes(n, "big", signed=True) for v, n in parts), True)
 
 
 def status_5(tachometer=0, volts=240):
     parts = ((tachometer, 4), (volts, 2), (0, 2))
-    return Frame(STATUS_5, b"".join(v.to_bytes(n, "big", signed=True) for v, n in parts), True)
+    return CanFrame(STATUS_5, b"".join(v.to_bytes(n, "big", signed=True) for v, n in parts), True)
 
 
 def hear(axis, now, erpm=0, current=0, duty=0, tachometer=0, volts=240):
@@ -70,8 +70,8 @@ def moves(frame):
 def test_51_amperes_to_node_23_is_the_frame_of_the_documentation():
     # documentation/comm_can.md of github.com/vedderb/bldc, "Single-Frame (simple) Commands".
     axis = in_state_of_node(23, torque_constant=0.1, max_torque=100.0)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.TORQUE, 5.1), 0.0)
-    assert frame == Frame(0x0117, bytes.fromhex("0000C738"), extended=True)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, 5.1), 0.0)
+    assert frame == CanFrame(0x0117, bytes.fromhex("0000C738"), extended=True)
 
 
 def in_state_of_node(node, **changes):
@@ -86,15 +86,15 @@ def in_state_of_node(node, **changes):
 def test_half_duty_is_50000():
     # triforce-docs.readthedocs.io, "VESC Canbus Communication": "50000 -> 50%".
     axis = in_state(AxisState.ENABLED)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VOLTAGE, 12.0), 0.0)
-    assert frame == Frame(DUTY, (50_000).to_bytes(4, "big"), extended=True)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VOLTAGE, 12.0), 0.0)
+    assert frame == CanFrame(DUTY, (50_000).to_bytes(4, "big"), extended=True)
 
 
 def test_speed_is_electrical_rpm_unscaled():
     # comm_can_set_rpm in comm_can.md's C code: (int32_t)rpm.
     axis = in_state(AxisState.ENABLED)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VELOCITY, -20 * math.tau), 0.0)
-    assert frame == Frame(RPM, (-20 * 60 * 7).to_bytes(4, "big", signed=True), extended=True)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, -20 * math.tau), 0.0)
+    assert frame == CanFrame(RPM, (-20 * 60 * 7).to_bytes(4, "big", signed=True), extended=True)
 
 
 def test_recorded_status_frames_match_the_values_reported_by_the_drive():
@@ -109,7 +109,7 @@ def test_recorded_status_frames_match_the_values_reported_by_the_drive():
         (0x1004, "00FDFE840000251E"),
         (0x1B04, "0000000C00EF0000"),
     ):
-        frame = Frame(id, bytes.fromhex(data), extended=True)
+        frame = CanFrame(id, bytes.fromhex(data), extended=True)
         assert axis.receive(frame, 1.0) is Receipt.ACCEPTED
     feedback = axis.feedback
     assert axis.state is AxisState.READY
@@ -126,7 +126,7 @@ def test_recorded_status_frames_match_the_values_reported_by_the_drive():
 @given(st.floats(-500, 500), st.integers(1, 50))
 def test_speed_setpoint_comes_back_as_the_velocity_reported(speed, pairs):
     axis = in_state(AxisState.ENABLED, pole_pairs=pairs)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VELOCITY, speed), 0.0)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, speed), 0.0)
     hear(axis, DT, erpm=int_of(frame.data))
     assert axis.feedback.velocity == pytest.approx(speed, abs=math.tau / 60 / pairs)
 
@@ -135,7 +135,7 @@ def test_speed_setpoint_comes_back_as_the_velocity_reported(speed, pairs):
 @given(st.floats(-2, 2), st.floats(0.01, 1.0))
 def test_torque_setpoint_comes_back_as_the_torque_reported(torque, constant):
     axis = in_state(AxisState.ENABLED, torque_constant=constant, max_torque=2.0)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.TORQUE, torque), 0.0)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.TORQUE, torque), 0.0)
     milliamperes = int_of(frame.data)
     assert milliamperes == pytest.approx(torque / constant * 1e3, abs=0.51)
     hear(axis, DT, current=abs(round(milliamperes / 100)), duty=1 if torque > 0 else -1)
@@ -147,7 +147,7 @@ def test_torque_setpoint_comes_back_as_the_torque_reported(torque, constant):
 def test_duty_times_measured_supply_is_the_voltage_within_its_limit(volts, supply):
     axis = in_state(AxisState.ENABLED)
     hear(axis, DT, volts=supply)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VOLTAGE, volts), DT)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VOLTAGE, volts), DT)
     limit = 0.95 * supply / 10
     assert frame.id == DUTY
     assert int_of(frame.data) * 1e-5 * supply / 10 == pytest.approx(
@@ -187,14 +187,14 @@ def test_current_drawn_has_the_direction_of_the_duty_and_generated_the_other(
 )
 def test_setpoints_are_clipped(value, mode, number):
     axis = in_state(AxisState.ENABLED)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(mode, value), 0.0)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(mode, value), 0.0)
     assert int_of(frame.data) == pytest.approx(number, abs=0.51)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_setpoints_are_clipped_to_32_bits(sign):
     axis = in_state(AxisState.ENABLED, max_speed=1e12)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VELOCITY, sign * 1e12), 0.0)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, sign * 1e12), 0.0)
     assert int_of(frame.data) == sign * (2**31 - 1)
 
 
@@ -202,7 +202,10 @@ def test_setpoints_are_clipped_to_32_bits(sign):
 @pytest.mark.parametrize("state", [AxisState.OFFLINE, AxisState.READY, AxisState.ENABLED])
 def test_setpoints_that_are_not_finite_raise(bad, state):
     axis = in_state(state)
-    for setpoint in (Setpoint(DriveMode.VELOCITY, bad), Setpoint(DriveMode.VELOCITY, 0.0, bad)):
+    for setpoint in (
+        DriveSetpoint(DriveMode.VELOCITY, bad),
+        DriveSetpoint(DriveMode.VELOCITY, 0.0, bad),
+    ):
         with pytest.raises(ValueError, match="must be finite"):
             axis.tick(Demand.DRIVE, setpoint, 0.0)
 
@@ -255,7 +258,7 @@ def test_idle_releases_the_motor_each_period():
 def test_stop_follows_the_ramp_and_stays_enabled():
     axis = in_state(AxisState.ENABLED)
     for speed in (30.0, 10.0, 0.0, 0.0):
-        (frame,) = axis.tick(Demand.STOP, Setpoint(DriveMode.VELOCITY, speed), DT)
+        (frame,) = axis.tick(Demand.STOP, DriveSetpoint(DriveMode.VELOCITY, speed), DT)
         assert frame.id == RPM
         assert int_of(frame.data) == round(speed * 60 / math.tau * 7)
     assert axis.state is AxisState.ENABLED
@@ -273,7 +276,7 @@ def test_stop_puts_no_power_on_a_drive_that_did_not_drive(state):
 @pytest.mark.parametrize("mode", DriveMode)
 def test_axis_that_is_not_enabled_does_not_move(demand, state, mode):
     axis = in_state(state)
-    for frame in axis.tick(demand, Setpoint(mode, 5.0, 1.0), 0.0):
+    for frame in axis.tick(demand, DriveSetpoint(mode, 5.0, 1.0), 0.0):
         assert not moves(frame)
 
 
@@ -331,7 +334,7 @@ def test_drive_that_reports_a_boot_has_restarted(state):
     # CAN_PACKET_NOTIFY_BOOT is 57 in datatypes.h; of any length
     axis = in_state(state, tachometer=100)
     before = axis.feedback.position
-    assert axis.receive(Frame(0x3905, b"\x05", True), DT) is Receipt.ACCEPTED
+    assert axis.receive(CanFrame(0x3905, b"\x05", True), DT) is Receipt.ACCEPTED
     assert axis.state is AxisState.OFFLINE and axis.feedback.restarts == 1
     assert axis.fault_reason == "it restarted: it reports a boot"
     hear(axis, 2 * DT, tachometer=0)
@@ -340,7 +343,7 @@ def test_drive_that_reports_a_boot_has_restarted(state):
 
 def test_boot_before_driving_is_not_a_fault():
     axis = in_state(AxisState.CONFIGURING)
-    axis.receive(Frame(0x3905, b"", True), DT)
+    axis.receive(CanFrame(0x3905, b"", True), DT)
     assert axis.state is AxisState.CONFIGURING and not axis.fault_reason
 
 
@@ -405,14 +408,14 @@ def test_reset_does_not_affect_an_axis_without_fault():
 def test_voltage_without_a_sane_supply_is_no_current_and_a_fault(volts):
     axis = in_state(AxisState.ENABLED)
     hear(axis, DT, volts=volts)
-    assert axis.tick(Demand.DRIVE, Setpoint(DriveMode.VOLTAGE, 12.0), DT) == [RELEASE]
+    assert axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VOLTAGE, 12.0), DT) == [RELEASE]
     assert "no plausible bus voltage received" in axis.fault_reason
 
 
 def test_first_fault_stays_until_reset():
     axis = in_state(AxisState.ENABLED, tachometer=100_000)
     hear(axis, DT, volts=0, tachometer=100_000)
-    axis.tick(Demand.DRIVE, Setpoint(DriveMode.VOLTAGE, 12.0), DT)
+    axis.tick(Demand.DRIVE, DriveSetpoint(DriveMode.VOLTAGE, 12.0), DT)
     hear(axis, 2 * DT, volts=240, tachometer=0)
     assert "bus voltage" in axis.fault_reason
     assert axis.state is AxisState.OFFLINE
@@ -424,21 +427,21 @@ def test_first_fault_stays_until_reset():
 @pytest.mark.parametrize(
     "frame, receipt",
     [
-        (Frame(STATUS, bytes(8), True), Receipt.ACCEPTED),
-        (Frame(STATUS, bytes(7), True), Receipt.MALFORMED),
-        (Frame(STATUS_5, bytes(7), True), Receipt.MALFORMED),
-        (Frame(STATUS_5, b"", True), Receipt.MALFORMED),
-        (Frame(STATUS, bytes(8), False), Receipt.MALFORMED),
-        (Frame(STATUS, b"", True, True), Receipt.MALFORMED),
-        (Frame(STATUS, bytes(8), True, True), Receipt.MALFORMED),
-        (Frame(STATUS + 1, bytes(8), True), Receipt.FOREIGN),
-        (Frame(1 << 16 | STATUS, bytes(8), True), Receipt.FOREIGN),
-        (Frame(RPM, bytes(4), True), Receipt.FOREIGN),
-        (Frame(0x1005, bytes(8), True), Receipt.ACCEPTED),
-        (Frame(0x3A05, bytes(8), True), Receipt.ACCEPTED),  # status 6 is 58
-        (Frame(0x1C05, bytes(8), True), Receipt.FOREIGN),
-        (Frame(0x3905, b"\x05", False), Receipt.FOREIGN),
-        (Frame(0x3905, b"", True, True), Receipt.FOREIGN),
+        (CanFrame(STATUS, bytes(8), True), Receipt.ACCEPTED),
+        (CanFrame(STATUS, bytes(7), True), Receipt.MALFORMED),
+        (CanFrame(STATUS_5, bytes(7), True), Receipt.MALFORMED),
+        (CanFrame(STATUS_5, b"", True), Receipt.MALFORMED),
+        (CanFrame(STATUS, bytes(8), False), Receipt.MALFORMED),
+        (CanFrame(STATUS, b"", True, True), Receipt.MALFORMED),
+        (CanFrame(STATUS, bytes(8), True, True), Receipt.MALFORMED),
+        (CanFrame(STATUS + 1, bytes(8), True), Receipt.FOREIGN),
+        (CanFrame(1 << 16 | STATUS, bytes(8), True), Receipt.FOREIGN),
+        (CanFrame(RPM, bytes(4), True), Receipt.FOREIGN),
+        (CanFrame(0x1005, bytes(8), True), Receipt.ACCEPTED),
+        (CanFrame(0x3A05, bytes(8), True), Receipt.ACCEPTED),  # status 6 is 58
+        (CanFrame(0x1C05, bytes(8), True), Receipt.FOREIGN),
+        (CanFrame(0x3905, b"\x05", False), Receipt.FOREIGN),
+        (CanFrame(0x3905, b"", True, True), Receipt.FOREIGN),
     ],
 )
 def test_frames_are_sorted(frame, receipt):
@@ -456,7 +459,7 @@ def test_malformed_report_changes_nothing():
 
 def test_each_command_that_is_sent_is_one_of_a_host():
     axis = in_state(AxisState.ENABLED)
-    setpoints = [Setpoint(mode, 1.0) for mode in axis.modes]
+    setpoints = [DriveSetpoint(mode, 1.0) for mode in axis.modes]
     sent = [axis.tick(Demand.DRIVE, setpoint, 0.0)[0] for setpoint in setpoints]
     assert {frame.id for frame in sent} == {DUTY, CURRENT, RPM}
     assert all((frame.id, frame.extended) in axis.command_ids for frame in sent)

@@ -9,8 +9,7 @@ import time
 from test.nodes.harness import World
 from test.running import PATIENCE, Running, command, environment
 
-STEP = 0.02
-"""Time by which the nodes are advanced at once [s]."""
+STEP = 0.02  #: Time by which the nodes are advanced at once [s]
 
 
 class SteppedRobot:

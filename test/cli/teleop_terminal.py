@@ -10,10 +10,8 @@ from contextlib import contextmanager
 
 from test.running import PATIENCE, command, environment
 
-REPEAT_DELAY = 0.3
-"""Time between the press of a key and its first repeat [s]."""
-REPEAT_PERIOD = 0.03
-"""Time between later repeats of a key [s]."""
+REPEAT_DELAY = 0.3  #: Time between the press of a key and its first repeat [s]
+REPEAT_PERIOD = 0.03  #: Time between later repeats of a key [s]
 
 # Makes stdin the controlling terminal, so that Ctrl-C works, and continues as the command.
 IN_TERMINAL = (

@@ -25,8 +25,7 @@ for arguments in {arguments!r}:
     heavy = others - sys.stdlib_module_names | others & {{"asyncio", "subprocess"}}
     assert not heavy, (arguments, heavy)
     assert len(own) < {modules} and len(imported) < 2 * {modules}, (arguments, len(own))
-"""
-"""Program that prints help, and after each help looks at what was imported."""
+"""  #: Program that prints help, and after each help looks at what was imported
 
 
 def test_help_imports_nothing_heavy():

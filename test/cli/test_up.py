@@ -137,9 +137,8 @@ def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
     assert "simulated_drive was killed by SIGKILL: stopping the robot" in up.output
     assert not any(probe.commands[-1]), up.output
     rows = [max(map(abs, command)) for command in probe.commands]
-    last_motion = max(i for i, speed in enumerate(rows) if speed > 0.0)
-    before = rows[last_motion - 5]
-    assert before < 0.5 * max(rows), "the wheels were cut off rather than ramped down"
+    fastest = max(i for i, speed in enumerate(rows) if speed > 0.9 * max(rows))
+    assert any(rows[fastest + 1 :]), "the wheels were cut off rather than ramped down"
 
 
 def test_a_killed_controller_is_reported_and_the_drive_stops_by_itself(own_domain):

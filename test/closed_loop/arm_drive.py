@@ -14,8 +14,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.parameters import IDEAL
 
 LEFT = (math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0)
-POSTURE_TICKS = 8
-"""Number of ticks between two postures that the controller gets."""
+POSTURE_TICKS = 8  #: Number of ticks between two postures that the controller gets
 
 
 @dataclass(frozen=True)

@@ -19,17 +19,14 @@ from test.simulation.world.support import ideal
 
 POSTURES = ([math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0], [2.0, -math.pi / 3, 1.0, -0.5, 0.7, 0.3])
 PLANT_GRAVITY = 9.81
-PAYLOAD = {"arm.mass": 23.4}
-"""Mass of a UR5 with the whole payload of its data sheet [kg]."""
-TRACK = 0.74
-"""Track of the narrow platform over that of the robot [-]."""
+PAYLOAD = {"arm.mass": 23.4}  #: Mass of a UR5 with the whole payload of its data sheet [kg]
+TRACK = 0.74  #: Track of the narrow platform over that of the robot [-]
 HIGH = {
     "body.com_z": 0.45,
     "mount.z": 0.8,
     "limits.linear_acceleration": 2.0,
     "limits.linear_deceleration": 3.0,
-}
-"""What is higher on the narrow platform [m], and limits that it does not bear [m/s^2]."""
+}  #: What is higher on the narrow platform [m], and limits that it does not bear [m/s^2]
 
 
 def support(bench, posture):

@@ -195,9 +195,9 @@ def test_voltages_accelerate_within_what_the_posture_leaves(source_twist):
             twists.append(loop.drives.ground_truth()[1])
         rates = np.diff(np.array(twists)[::8], axis=0) / 0.04
         peaks.append(float(np.hypot(rates[:, 0], rates[:, 1]).max()))
-    share, limit = (
-        core.stability.share,
+    fraction, limit = (
+        core.stability.fraction,
         max(core.limits.linear_acceleration, core.limits.linear_deceleration),
     )
-    assert share < 1.0
+    assert fraction < 1.0
     assert peaks[1] < 1.15 * limit < peaks[0]

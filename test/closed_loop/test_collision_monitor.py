@@ -15,8 +15,8 @@ from omniman_ros.collision.monitor import (
     RobotMotion,
     SpeedLimit,
 )
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
@@ -26,16 +26,13 @@ from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParam
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 
-GAP = 0.02
-"""Gap that must remain [m]."""
-EVERY = 5
-"""Number of ticks from one limit to the next: 40 Hz."""
-LATE = 4
-"""Number of ticks from an observation until its limit arrives."""
+GAP = 0.02  #: Gap that must remain [m]
+EVERY = 5  #: Number of ticks from one limit to the next: 40 Hz
+LATE = 4  #: Number of ticks from an observation until its limit arrives
 DRIVES = 200
 SAMPLE = 1
+#: Joint angles at which the arm stays above the platform [rad]
 FOLDED = np.array([0.0, -2.5, 2.6, -1.7, 0.0, 0.0])
-"""Joint angles at which the arm stays above the platform [rad]."""
 
 
 class Drive(ClosedLoop):
@@ -53,15 +50,15 @@ class Drive(ClosedLoop):
         self.posts = np.array(posts, dtype=float)
         self.velocities = np.zeros((len(posts), 2)) if velocities is None else velocities
         self.waiting = deque()
-        self.gaps, self.twists, self.shares = [], [], []
+        self.gaps, self.twists, self.fractions = [], [], []
 
     def surroundings(self):
         n = len(self.posts)
         still = np.zeros(n)
-        solids = UprightSolids(
+        obstacles = UprightObstacles(
             self.posts[:, :2].T, still, np.zeros((2, n)), self.posts[:, 2], still, still + 2.0
         )
-        return Surroundings(solids, self.velocities.T)
+        return MovingObstacles(obstacles, self.velocities.T)
 
     def look(self):
         """Let the monitor judge what the controller knows and does."""
@@ -70,9 +67,9 @@ class Drive(ClosedLoop):
             np.array(core.odometry.pose), FOLDED, np.append(core.odometry.twist, np.zeros(6))
         )
         demands = [np.append(core.demand, np.zeros(6))]
-        share = self.monitor.limit(robot, demands, self.surroundings()).platform
-        self.shares.append(share)
-        self.waiting.append((self.tick + LATE, share))
+        fraction = self.monitor.limit(robot, demands, self.surroundings()).platform
+        self.fractions.append(fraction)
+        self.waiting.append((self.tick + LATE, fraction))
 
     def step(self):
         if hasattr(self, "monitor"):
@@ -132,9 +129,9 @@ def line(drive, twist, seconds):
     times = np.linspace(0.0, seconds, 41)
     rise = np.minimum(times, 1.5)
     way = times - rise + 0.5 * rise * rise / 1.5
-    share = rise / 1.5
+    fraction = rise / 1.5
     pose = np.array(drive.controller.odometry.pose)
-    return Preview(drive.now + times, pose + np.outer(way, twist), np.outer(share, twist), None)
+    return Preview(drive.now + times, pose + np.outer(way, twist), np.outer(fraction, twist), None)
 
 
 @pytest.mark.parametrize("source", [source.value for source in Source])
@@ -157,10 +154,10 @@ def test_every_source_is_stopped_before_a_post(source, seeds):
         assert min(drive.gaps) >= GAP, seed
         if source == "cmd_vel":
             assert min(drive.gaps) < 0.3, f"drive {seed} was stopped too early"
-            assert min(drive.shares) < 0.2, seed
+            assert min(drive.fractions) < 0.2, seed
         else:  # held back, it loses its reference
             assert drive.controller.at_rest, seed
-            assert min(drive.shares) < 0.5, seed
+            assert min(drive.fractions) < 0.5, seed
         drive.assert_decelerates_within_limits()
 
 

@@ -21,8 +21,8 @@ from test.tiers import combinations, exhaustive, representative
 ON = {"drive.dead_wheel": "drive_on"}
 FORWARD, SIDEWAYS, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.4)
 OBLIQUE = (0.2, 0.1, 0.1)
+#: Twist that demands a driving torque of every wheel, without any other one, too
 DEMANDING = {"omniman": OBLIQUE, "mecanum6": OBLIQUE, "mecanum8": FORWARD}
-"""Twist that demands a driving torque of every wheel, without any other one, too."""
 
 
 class Course:
@@ -281,8 +281,8 @@ def ride(seed, robot, mode, seconds, trouble):
     rng = np.random.default_rng(seed)
     n = robots.robot(robot).wheel_count
 
-    def spread(share=0.2):
-        return tuple((1.0 + rng.uniform(-share, share, n)).tolist())
+    def spread(fraction=0.2):
+        return tuple((1.0 + rng.uniform(-fraction, fraction, n)).tolist())
 
     simulation = {
         "mismatch.friction": spread(),

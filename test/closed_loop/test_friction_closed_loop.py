@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.parameters import build
-from omniman_ros.identification.friction.experiment import FrictionExperiment, Phase
+from omniman_ros.identification.friction.experiment import ExperimentPhase, FrictionExperiment
 from omniman_ros.identification.friction.friction_fit import identify_friction
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import make_plan
@@ -37,7 +37,7 @@ def run_experiment(name, noise, seed, precision=0.005, rounds=2, **changes):
     plan = make_plan(robot, precision=precision, rounds=rounds)
     experiment = FrictionExperiment(robot, plan, now)
     drives.advance(now)
-    while experiment.phase is not Phase.DONE:
+    while experiment.phase is not ExperimentPhase.DONE:
         now += PERIOD
         assert now < 20.0 + plan.longest_time
         states = drives.wheel_states(now)

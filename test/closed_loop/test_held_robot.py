@@ -25,10 +25,8 @@ from test.tiers import exhaustive
 pytest.importorskip("mujoco")
 
 
-LATEST = 1.0
-"""Longest time from the contact to the stop [s]."""
-LOW = 0.35
-"""Height of walls and posts, which the arm passes above [m]."""
+LATEST = 1.0  #: Longest time from the contact to the stop [s]
+LOW = 0.35  #: Height of walls and posts, which the arm passes above [m]
 
 
 class Ride:

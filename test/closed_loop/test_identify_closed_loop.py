@@ -8,11 +8,11 @@ import pytest
 
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.preview import Preview
-from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Run
+from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun, Campaign
 from omniman_ros.identification.odometry.drive_plan import (
     MARGIN,
     TARGETS,
-    Motion,
+    CalibrationMotion,
     Speeds,
     check_shape,
     displacement_to,
@@ -79,13 +79,15 @@ def calibration_runs(loop):
             start = loop.controller.odometry.pose
             recorded, truth, _ = drive(
                 loop,
-                preview_of(Motion(straight_shape(displacement), start, speeds), loop.now + 0.05),
+                preview_of(
+                    CalibrationMotion(straight_shape(displacement), start, speeds), loop.now + 0.05
+                ),
             )
             wheels.append(recorded)
             corner = np.abs(truth[:, :2]).max()
             assert corner < reach * (1 + MARGIN), "the robot leaves its square"
         heading += target.turn
-        runs.append(Run(target.corner, np.vstack(wheels)))
+        runs.append(CalibrationRun(target.corner, np.vstack(wheels)))
         poses.append(truth[-1])
     return tuple(runs), np.array(poses)
 
@@ -118,7 +120,7 @@ def test_nine_tenths_of_the_systematic_error_are_removed_on_other_paths(robot, s
     loop.controller.configure(after)
     reach = max_reach(AREA, before.robot.body)
     speeds = Speeds.within(before.limits, 0.4)
-    curve = Motion(check_shape(reach), (0.0, 0.0, 0.0), speeds)
+    curve = CalibrationMotion(check_shape(reach), (0.0, 0.0, 0.0), speeds)
     for make in (
         lambda start: preview_of(curve, start),
         lambda start: figure_of_eight(start, 20.0),

@@ -23,13 +23,11 @@ from test.planning.support import CYCLE, SimulatedRun, ellipses, planner
 
 BEAMS = 360
 FIELD = 1.5 * math.pi
+#: Where the scanner is: what is below the robot and behind it, it does not see
 MOUNT = (0.35, 0.0, 0.0)
-"""Where the scanner is: what is below the robot and behind it, it does not see."""
-ROOM = (-2.5, -4.0, 9.0, 3.5)
-"""Walls x_min, y_min, x_max, y_max [m]."""
+ROOM = (-2.5, -4.0, 9.0, 3.5)  #: Walls x_min, y_min, x_max, y_max [m]
 POSTS = ((1.0, 1.6, 0.2), (3.5, -1.2, 0.2), (-1.5, -2.0, 0.25))
-MAP_EVERY = 4
-"""Cycles between two maps."""
+MAP_EVERY = 4  #: Cycles between two maps
 RULE = build(MpcPlannerParameters, robots.values("ig42")).map_reading.rule
 
 
@@ -121,8 +119,8 @@ def test_the_cases_of_the_page_are_driven_after_other_drives_and_after_a_restart
         begin = run.now
 
         def seen(now, begin=begin):
-            rows = [(*way(now - begin).tolist(), case.radius) for way in case.ways]
-            speeds = [way.speed(now - begin) for way in case.ways]
+            rows = [(*path(now - begin).tolist(), case.radius) for path in case.paths]
+            speeds = [path.speed(now - begin) for path in case.paths]
             return ellipses(*rows, time=now, velocities=speeds)
 
         run.seen = seen

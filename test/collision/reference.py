@@ -10,30 +10,20 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.robots import load_robot
 
-FAR = 100.0
-"""Distance above which the engine need not find one [m]."""
+FAR = 100.0  #: Distance above which the engine need not find one [m]
 BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
-MESH = mujoco.mjtGeom.mjGEOM_MESH
-"""Shapes of the engine."""
+MESH = mujoco.mjtGeom.mjGEOM_MESH  #: Shapes of the engine
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape that is added to a body of the URDF.
+    """A shape that is added to a body of the URDF."""
 
-    Attributes:
-        body: Name of the body; "" for the world.
-        kind: Shape of the engine.
-        size: Its sizes, as the engine takes them; the corners of a convex mesh [m].
-        position: Its centre in the frame of the body [m].
-        yaw: Its rotation about z of the body [rad].
-    """
-
-    body: str
-    kind: int
-    size: tuple
-    position: tuple
-    yaw: float = 0.0
+    body: str  #: Name of the body; "" for the world
+    kind: int  #: Shape of the engine
+    size: tuple  #: Its sizes, as the engine takes them; the corners of a convex mesh [m]
+    position: tuple  #: Its centre in the frame of the body [m]
+    yaw: float = 0.0  #: Its rotation about z of the body [rad]
 
 
 def description(name="omniman"):
@@ -45,7 +35,6 @@ class EngineBody:
     """Distances between the shapes of a URDF whose arm has capsules, and boxes beside them.
 
     Args:
-        parameters: Description of the robot.
         extra: Shapes that are added.
 
     Attributes:

@@ -7,7 +7,7 @@ import pytest
 
 from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
 from omniman_ros.collision.parameters import LoadShape, ToolShape
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
 
 pytest.importorskip("mujoco", reason="the reference is a physics engine")
@@ -15,26 +15,22 @@ pytest.importorskip("mujoco", reason="the reference is a physics engine")
 from test.collision.reference import BOX, CYLINDER, MESH, EngineBody, Shape, description
 from test.outlines import HAND_MADE, outlined
 
-ACCURACY = 1e-6
-"""Largest difference from the reference [m]."""
-LOAD = LoadShape(length=0.3, width=0.2, height=0.15, distance=0.04)
-"""A load."""
-SOLIDS = UprightSolids.join(
+ACCURACY = 1e-6  #: Largest difference from the reference [m]
+LOAD = LoadShape(length=0.3, width=0.2, height=0.15, distance=0.04)  #: A load
+SOLIDS = UprightObstacles.join(
     [
-        UprightSolids.cylinder(1.0, 0.3, 0.15, (0.0, 1.5)),
-        UprightSolids.cylinder(-0.6, 0.9, 0.3, (0.9, 1.2)),
-        UprightSolids.box((0.9, -0.7, 0.4), 1.2, 0.7, (0.7, 0.74)),
-        UprightSolids.box((-1.2, -0.4, 1.2), 2.0, 0.05, (0.0, 2.0)),
+        UprightObstacles.cylinder(1.0, 0.3, 0.15, (0.0, 1.5)),
+        UprightObstacles.cylinder(-0.6, 0.9, 0.3, (0.9, 1.2)),
+        UprightObstacles.box((0.9, -0.7, 0.4), 1.2, 0.7, (0.7, 0.74)),
+        UprightObstacles.box((-1.2, -0.4, 1.2), 2.0, 0.05, (0.0, 2.0)),
     ]
-)
-"""A post, a drum that hangs, a table's top and a wall."""
+)  #: A post, a drum that hangs, a table's top and a wall
 SOLID_SHAPES = (
     Shape("", CYLINDER, (0.15, 0.75), (1.0, 0.3, 0.75)),
     Shape("", CYLINDER, (0.3, 0.15), (-0.6, 0.9, 1.05)),
     Shape("", BOX, (0.6, 0.35, 0.02), (0.9, -0.7, 0.72), 0.4),
     Shape("", BOX, (1.0, 0.025, 1.0), (-1.2, -0.4, 1.0), 1.2),
-)
-"""The same for the engine."""
+)  #: The same for the engine
 
 
 def platform_shape(parameters):
@@ -108,7 +104,7 @@ def test_distances_from_solids(load, count):
     extra = [*SOLID_SHAPES, platform_shape(parameters)] + ([load_shape(load)] if load else [])
     engine = EngineBody(parameters, extra)
     poses, q = configurations(count, seed=3)
-    solids, own = engine.extra[: len(SOLIDS)], engine.extra[len(SOLIDS) :]
+    obstacles, own = engine.extra[: len(SOLIDS)], engine.extra[len(SOLIDS) :]
     shapes = [own[:1], *(engine.shapes(name) for name in body.parts[1:8])]
     if load:
         shapes[-1] = shapes[-1][:-1]
@@ -116,7 +112,7 @@ def test_distances_from_solids(load, count):
     reference = np.empty((count, len(shapes), len(SOLIDS)))
     for k in range(count):
         engine.place(poses[k], q[k])
-        reference[k] = [[engine.distance(part, [one]) for one in solids] for part in shapes]
+        reference[k] = [[engine.distance(part, [one]) for one in obstacles] for part in shapes]
     found = body.distances(poses, q, SOLIDS)
     require_equal(found[:, :8], reference[:, :8])
     slack = np.maximum(SOLIDS.rounding, 0.0)
@@ -136,20 +132,20 @@ def test_distances_of_a_platform_with_an_outline(name, load, count):
     extra = [*SOLID_SHAPES, *prisms] + ([load_shape(load)] if load else [])
     engine = EngineBody(parameters, extra)
     poses, q = configurations(count, seed=6)
-    solids = engine.extra[: len(SOLIDS)]
+    obstacles = engine.extra[: len(SOLIDS)]
     platform = engine.extra[len(SOLIDS) : len(SOLIDS) + len(prisms)]
     shapes = {n: engine.shapes(n) for n in body.parts if n.endswith("link")}
     if load:
         shapes |= {"load": engine.extra[-1:], "wrist_3_link": shapes["wrist_3_link"][:-1]}
     pairs = [k for k, pair in enumerate(body.pairs) if PLATFORM in pair]
     others = [body.pairs[k][1] for k in pairs]
-    to_solids, to_parts = np.empty((count, len(SOLIDS))), np.empty((count, len(others)))
+    to_obstacles, to_parts = np.empty((count, len(SOLIDS))), np.empty((count, len(others)))
     for k in range(count):
         engine.place(poses[k], q[k])
-        to_solids[k] = [engine.distance(platform, [one]) for one in solids]
+        to_obstacles[k] = [engine.distance(platform, [one]) for one in obstacles]
         to_parts[k] = [engine.distance(platform, shapes[other]) for other in others]
-    assert (to_solids <= 0.0).any() and (to_parts <= 0.0).any(), "some touch"
-    require_equal(body.distances(poses, q, SOLIDS)[:, 0], to_solids)
+    assert (to_obstacles <= 0.0).any() and (to_parts <= 0.0).any(), "some touch"
+    require_equal(body.distances(poses, q, SOLIDS)[:, 0], to_obstacles)
     require_equal(body.self_distances(q)[:, pairs], to_parts)
 
 
@@ -158,7 +154,7 @@ def test_a_post_between_the_forks_is_clear_of_them():
     parameters = outlined(HAND_MADE["forks"][0])
     body = BodyGeometry(parameters)
     for x, gap in ((0.4, 0.1), (0.02, 0.0), (-0.3, 0.0)):
-        post = UprightSolids.cylinder(x, 0.0, 0.02, (0.0, 1.0))
+        post = UprightObstacles.cylinder(x, 0.0, 0.02, (0.0, 1.0))
         found = body.distances(np.zeros(3), np.zeros(6), post)[0, 0]
         assert found == pytest.approx(gap and 0.14 * math.cos(math.atan(0.1)) - 0.02, abs=1e-9)
 
@@ -186,7 +182,7 @@ def test_overlap_is_negative_to_the_depth_of_a_radius():
     def distance(offset):
         """Return the distance from a post, moved from afar towards the forearm."""
         x, y = np.array((0.2, 0.0)) - away + offset * away / math.sqrt(2.0)
-        post = UprightSolids.cylinder(x, y, 0.05, heights)
+        post = UprightObstacles.cylinder(x, y, 0.05, heights)
         return body.distances(still, q, post)[part, 0]
 
     free, touching = 0.0, 1.4
@@ -194,7 +190,7 @@ def test_overlap_is_negative_to_the_depth_of_a_radius():
         middle = 0.5 * (free + touching)
         free, touching = (middle, touching) if distance(middle) > 0.0 else (free, middle)
     assert -0.02 <= distance(touching + 0.02) < -0.012
-    through = UprightSolids.box((0.2, 0.0, 0.0), 2.0, 2.0, (0.0, 3.0))
+    through = UprightObstacles.box((0.2, 0.0, 0.0), 2.0, 2.0, (0.0, 3.0))
     assert body.distances(still, q, through)[part, 0] == pytest.approx(-0.045, abs=1e-9)
 
 
@@ -204,7 +200,7 @@ def test_the_start_posture_sticks_out_of_the_platform():
     body = BodyGeometry(parameters)
     q = np.array((-1.6007, -1.7271, -2.203, -0.808, 1.5951, -0.031))
     assert body.self_distances(q).min() > 0.01
-    wall = UprightSolids.box((0.0, 0.55, 0.0), 4.0, 0.1, (0.0, 2.0))
+    wall = UprightObstacles.box((0.0, 0.55, 0.0), 4.0, 0.1, (0.0, 2.0))
     distances = body.distances(np.zeros(3), q, wall)[:, 0]
     assert distances[0] == pytest.approx(0.5 - 0.5 * parameters.robot.body.width)
     assert distances.min() < 0.0
@@ -229,7 +225,7 @@ def test_a_robot_without_an_arm_is_its_platform():
 def test_no_solids_give_no_distances():
     """Where nothing stands there is nothing to be near."""
     body = BodyGeometry(description(), load=LOAD)
-    found = body.distances(np.zeros((2, 3)), np.zeros((2, 6)), UprightSolids.join([]))
+    found = body.distances(np.zeros((2, 3)), np.zeros((2, 6)), UprightObstacles.join([]))
     assert found.shape == (2, len(body.parts), 0)
 
 

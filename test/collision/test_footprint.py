@@ -44,16 +44,17 @@ def planar_gap(footprint, pose, x, y, radius, low, high):
 def test_the_bound_is_never_above_the_distance_that_the_engine_finds(loaded, count):
     """An obstacle farther than the vertical margin from all parts may be left out."""
     parameters, rng = description(), np.random.default_rng(4)
-    solids = []
+    obstacles = []
     for _ in range(12):
         low = rng.uniform(0.0, 1.6)
-        solids.append((0.0, 0.0, rng.uniform(0.03, 0.4), low, low + rng.uniform(0.02, 1.0)))
+        obstacles.append((0.0, 0.0, rng.uniform(0.03, 0.4), low, low + rng.uniform(0.02, 1.0)))
     shapes = [
-        Shape("", CYLINDER, (r, 0.5 * (b - a)), (x, y, 0.5 * (a + b))) for x, y, r, a, b in solids
+        Shape("", CYLINDER, (r, 0.5 * (b - a)), (x, y, 0.5 * (a + b)))
+        for x, y, r, a, b in obstacles
     ]
     engine = EngineBody(parameters, [*shapes, platform_shape(parameters), load_shape(LOAD)])
-    solid = engine.extra[: len(solids)]
-    parts = [number for number in range(engine.model.ngeom) if number not in solid]
+    obstacle = engine.extra[: len(obstacles)]
+    parts = [number for number in range(engine.model.ngeom) if number not in obstacle]
     own = [n for n in parts if engine.model.geom_bodyid[n] not in wheel_bodies(engine)]
     touched = 0
     for _ in range(count):
@@ -61,9 +62,9 @@ def test_the_bound_is_never_above_the_distance_that_the_engine_finds(loaded, cou
         q = rng.uniform(-math.pi, math.pi, 6)
         engine.place(pose, q)
         footprint = loaded.footprint(q[None], MARGIN)
-        number = rng.integers(len(solids))
-        distance = engine.distance(own, [solid[number]])
-        bound = planar_gap(footprint, pose, *solids[number])
+        number = rng.integers(len(obstacles))
+        distance = engine.distance(own, [obstacle[number]])
+        bound = planar_gap(footprint, pose, *obstacles[number])
         assert min(bound, MARGIN) <= distance + 1e-6
         touched += distance <= 0.0
     assert 0.1 * count < touched < 0.9 * count, "the cases show both"
@@ -113,8 +114,8 @@ def test_a_motion_of_the_arm_is_bounded_between_its_postures(loaded):
         swept = loaded.footprint(np.stack([first, last]), 0.0).whole
         directions = np.linspace(-math.pi, math.pi, 60)
         reach = swept.support(directions)
-        for share in rng.uniform(0.0, 1.0, 4):
-            between = outline(loaded, first + share * (last - first), directions)
+        for fraction in rng.uniform(0.0, 1.0, 4):
+            between = outline(loaded, first + fraction * (last - first), directions)
             assert (between <= reach + 1e-9).all()
 
 
@@ -130,26 +131,26 @@ def outline(body, q, directions):
 def test_a_dense_preview_is_bounded_by_few_postures(loaded):
     time = np.linspace(0.0, 0.4, 51)[:, None]
     turns = np.array([1.0, -0.6, 0.8, 0.3, -0.5, 2.0])
-    postures = REST + 0.6 * turns * time + 0.02 * np.sin(9.0 * time) * turns[::-1]
-    limbs = loaded._limbs(postures)
+    configurations = REST + 0.6 * turns * time + 0.02 * np.sin(9.0 * time) * turns[::-1]
+    limbs = loaded._limbs(configurations)
     assert len(limbs.radius) < 0.6 * 51 * len(loaded._limbs(REST[None]).radius)
     directions = np.linspace(-math.pi, math.pi, 60)
-    reach = outline(loaded, postures, directions)
-    for q in postures:
+    reach = outline(loaded, configurations, directions)
+    for q in configurations:
         assert (outline(loaded, q, directions) <= reach + 1e-9).all()
 
 
 @pytest.mark.parametrize(
-    ("postures", "why"),
+    ("configurations", "why"),
     [
         (np.zeros(6), "shape"),
         (np.zeros((0, 6)), "shape"),
         (np.full((1, 6), math.nan), "finite"),
     ],
 )
-def test_postures_that_cannot_be_used_are_refused(loaded, postures, why):
+def test_postures_that_cannot_be_used_are_refused(loaded, configurations, why):
     with pytest.raises(InputError, match=why):
-        loaded.footprint(postures, MARGIN)
+        loaded.footprint(configurations, MARGIN)
 
 
 # ---- rectangles ---------------------------------------------------------------------------------

@@ -7,8 +7,8 @@ import pytest
 
 from omniman_ros.collision.curve import curve_poses
 from omniman_ros.collision.monitor import CollisionMonitor, MonitorParameters, RobotMotion
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.parameters import build
@@ -33,28 +33,30 @@ def judge(place, speed, surroundings, geometry=PLATFORM, joints=FOLDED, **option
 
 
 def posts(*each, velocity=None):
-    solids = UprightSolids.join([UprightSolids.cylinder(x, y, r, (0.0, 2.0)) for x, y, r in each])
-    still = Surroundings.standing(solids)
-    return still if velocity is None else Surroundings(solids, np.array([velocity]).T)
+    obstacles = UprightObstacles.join(
+        [UprightObstacles.cylinder(x, y, r, (0.0, 2.0)) for x, y, r in each]
+    )
+    still = MovingObstacles.standing(obstacles)
+    return still if velocity is None else MovingObstacles(obstacles, np.array([velocity]).T)
 
 
-WALL = Surroundings.standing(UprightSolids.box((3.0, 0.0, 0.0), 1.0, 9.0, (0.0, 2.0)))
+WALL = MovingObstacles.standing(UprightObstacles.box((3.0, 0.0, 0.0), 1.0, 9.0, (0.0, 2.0)))
 
 
 @pytest.mark.parametrize("gap", [0.031, 0.05, 0.1, 0.3, 0.7, 1.5])
 @pytest.mark.parametrize("speed", [0.05, 1.0])
 def test_straight_at_a_wall_the_share_is_that_of_the_distance_that_is_left(gap, speed):
-    share = judge((2.0 - gap, 0.0, 0.0), motion(speed), WALL).platform
+    fraction = judge((2.0 - gap, 0.0, 0.0), motion(speed), WALL).platform
     left = gap - 0.03
     stopping = math.sqrt(0.1**2 + 2 * left / 1.2) - 0.1
     exact = min(1.0, left, stopping * 1.2)
-    assert 0.85 * exact - 0.02 <= share <= exact + 1e-6
+    assert 0.85 * exact - 0.02 <= fraction <= exact + 1e-6
 
 
 def test_what_stops_is_reported():
     found = judge((1.9, 0.0, 0.0), motion(0.5), WALL)
     assert found.encounter.part == "platform"
-    assert found.encounter.solid == 0
+    assert found.encounter.obstacle == 0
     assert found.encounter.distance == pytest.approx(0.1)
     assert found.arm == 1.0
 
@@ -87,12 +89,12 @@ def test_the_direction_that_is_asked_for_counts_at_rest():
     assert monitor.limit(robot, [motion(-1.0)], WALL).platform == 1.0
 
 
-def free_distance(pose, twist, solids, share, geometry=PLATFORM):
+def free_distance(pose, twist, obstacles, fraction, geometry=PLATFORM):
     """Return the least distance while the robot reacts, and brakes from a share of full speed."""
     stop_time = LIMITS.stop_time(twist)
-    end = 0.1 * share + 0.5 * share**2 * stop_time
+    end = 0.1 * fraction + 0.5 * fraction**2 * stop_time
     poses = curve_poses(pose, twist[:3], np.linspace(0.0, end, 400))
-    return float(geometry.distances(poses, np.tile(FOLDED, (400, 1)), solids).min())
+    return float(geometry.distances(poses, np.tile(FOLDED, (400, 1)), obstacles).min())
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -101,15 +103,15 @@ def test_a_robot_at_the_limit_comes_to_rest_before_the_margin(seed):
     place = rng.uniform(-3.0, 3.0, 3)
     found = [rng.uniform((-3, -3, 0.02), (3, 3, 0.5)) for _ in range(6)]
     surroundings = posts(*found)
-    start = PLATFORM.distances(place[None], FOLDED[None], surroundings.solids).min()
+    start = PLATFORM.distances(place[None], FOLDED[None], surroundings.obstacles).min()
     speed = motion(*rng.uniform(-1.0, 1.0, 3))
-    speed /= LIMITS.share(speed)
+    speed /= LIMITS.fraction(speed)
     limit = judge(place, speed, surroundings)
     if start > 0.0:
-        least = free_distance(place, speed, surroundings.solids, limit.platform)
+        least = free_distance(place, speed, surroundings.obstacles, limit.platform)
         assert least >= min(start, 0.03) - 1e-5
     if limit.platform == 1.0:
-        assert free_distance(place, speed, surroundings.solids, 1.0) >= min(start, 0.03) - 1e-5
+        assert free_distance(place, speed, surroundings.obstacles, 1.0) >= min(start, 0.03) - 1e-5
 
 
 def test_what_drives_away_ahead_is_followed_and_what_comes_nearer_is_met_slowly():
@@ -129,7 +131,7 @@ def test_what_will_have_passed_does_not_stop_the_robot():
 def test_the_arm_is_limited_alone_and_its_reach_counts_for_the_platform():
     ahead = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     post = posts((1.6, 0.0, 0.05))
-    reach = WHOLE.distances(np.zeros((1, 3)), ahead[None], post.solids).min()
+    reach = WHOLE.distances(np.zeros((1, 3)), ahead[None], post.obstacles).min()
     assert 0.1 < reach < 0.6
     turning = motion(joints=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
     assert judge((0.0, 0.0, 0.0), turning, post, WHOLE, ahead).arm == 1.0

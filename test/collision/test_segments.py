@@ -35,9 +35,9 @@ def test_no_pair_of_points_is_nearer():
     rng = np.random.default_rng(1)
     first, first_end, second, second_end = rng.uniform(-1.0, 1.0, (4, 3, 300))
     second_end[:, :50] = second[:, :50] + 0.7 * (first_end - first)[:, :50]
-    share = np.linspace(0.0, 1.0, 101)
-    a = first[..., None] + (first_end - first)[..., None] * share
-    b = second[..., None] + (second_end - second)[..., None] * share
+    fraction = np.linspace(0.0, 1.0, 101)
+    a = first[..., None] + (first_end - first)[..., None] * fraction
+    b = second[..., None] + (second_end - second)[..., None] * fraction
     grid = np.linalg.norm(a[..., :, None] - b[..., None, :], axis=0).min(axis=(1, 2))
     found = segment_distances(first, first_end, second, second_end)
     assert (found <= grid + 1e-12).all()

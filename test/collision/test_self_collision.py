@@ -14,10 +14,10 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.robots import load_robot
 
+#: Joint angles at which the arm points up [rad]
 UPRIGHT = np.array([0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0])
-"""Joint angles at which the arm points up [rad]."""
+#: Joint angles at which the forearm lies along the upper arm [rad]
 FOLDED = np.array([0.0, -0.5 * math.pi, 2.9, 0.0, 0.0, 0.0])
-"""Joint angles at which the forearm lies along the upper arm [rad]."""
 
 
 @pytest.fixture(scope="module")

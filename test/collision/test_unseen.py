@@ -29,13 +29,13 @@ def limit(arrivals, twist, stop_time=1.0):
     return unseen_limit(arrivals, BODY, np.zeros(3), courses, RADIUS, REACTION)
 
 
-def comes_to_somebody(arrivals, twist, share, stop_time=1.0):
+def comes_to_somebody(arrivals, twist, fraction, stop_time=1.0):
     """Follow a stop: does the robot come to a place where somebody can be already?"""
     touched = BODY.distances(np.stack((X, Y), axis=-1)) <= RADIUS
-    pose, end = np.zeros(3), REACTION + share * stop_time
+    pose, end = np.zeros(3), REACTION + fraction * stop_time
     step = 0.004
     for t in np.arange(0.0, end, step):
-        speed = share - max(t - REACTION, 0.0) / stop_time
+        speed = fraction - max(t - REACTION, 0.0) / stop_time
         pose = curve_poses(pose, speed * np.array(twist), np.array([step]))[0]
         c, s = math.cos(pose[2]), math.sin(pose[2])
         dx, dy = X - pose[0], Y - pose[1]
@@ -53,35 +53,39 @@ def test_the_robot_stops_before_anybody_and_is_not_much_slower_than_it_must_be(s
     arrivals = arrivals_of([distance * math.cos(angle), distance * math.sin(angle)])
     twist = (*rng.uniform(-1.0, 1.0, 2), rng.uniform(-1.0, 1.0))
     found = limit(arrivals, twist)
-    assert not comes_to_somebody(arrivals, twist, found.share)
-    if found.place is not None:
-        faster = (min(found.share + more, 1.0) for more in (0.05, 0.1, 0.2))
-        assert any(comes_to_somebody(arrivals, twist, share) for share in faster)
+    assert not comes_to_somebody(arrivals, twist, found.fraction)
+    if found.position is not None:
+        faster = (min(found.fraction + more, 1.0) for more in (0.05, 0.1, 0.2))
+        assert any(comes_to_somebody(arrivals, twist, fraction) for fraction in faster)
 
 
 def test_who_is_farther_away_leaves_more_speed():
-    shares = [limit(arrivals_of([x, 0.0]), (1.0, 0.0, 0.0)).share for x in (0.8, 1.2, 1.8, 3.5)]
-    assert shares == sorted(shares)
-    assert shares[0] < 0.2
-    assert shares[-1] == 1.0
+    fractions = [
+        limit(arrivals_of([x, 0.0]), (1.0, 0.0, 0.0)).fraction for x in (0.8, 1.2, 1.8, 3.5)
+    ]
+    assert fractions == sorted(fractions)
+    assert fractions[0] < 0.2
+    assert fractions[-1] == 1.0
 
 
 def test_who_is_behind_or_beside_the_robot_limits_motions_towards_them_only():
     behind = arrivals_of([-0.75, 0.0])
-    assert limit(behind, (1.0, 0.0, 0.0)).share == 1.0
+    assert limit(behind, (1.0, 0.0, 0.0)).fraction == 1.0
     found = limit(behind, (-1.0, 0.0, 0.0))
-    assert found.share < 0.2
-    assert found.place[0] < -0.6
+    assert found.fraction < 0.2
+    assert found.position[0] < -0.6
     beside = arrivals_of([-0.2, 0.6])
-    assert limit(beside, (1.0, 0.0, 0.0)).share == 1.0
-    assert limit(beside, (0.0, 1.0, 0.0)).share < 0.3
-    assert limit(beside, (0.0, 0.0, 1.0)).share < 0.6
+    assert limit(beside, (1.0, 0.0, 0.0)).fraction == 1.0
+    assert limit(beside, (0.0, 1.0, 0.0)).fraction < 0.3
+    assert limit(beside, (0.0, 0.0, 1.0)).fraction < 0.6
 
 
 def test_a_robot_at_rest_and_an_empty_floor_have_no_limit():
-    assert unseen_limit(arrivals_of([1.0, 0.0]), BODY, np.zeros(3), [], RADIUS, 0.1).share == 1.0
+    assert (
+        unseen_limit(arrivals_of([1.0, 0.0]), BODY, np.zeros(3), [], RADIUS, 0.1).fraction == 1.0
+    )
     nobody = Arrivals(np.full((80, 80), np.inf), CELL, ORIGIN)
-    assert limit(nobody, (1.0, 0.0, 0.0)).share == 1.0
+    assert limit(nobody, (1.0, 0.0, 0.0)).fraction == 1.0
 
 
 def test_times_run_on_while_nothing_is_heard():
@@ -89,7 +93,7 @@ def test_times_run_on_while_nothing_is_heard():
     later = arrivals.after(0.5)
     assert later.times.min() == 0.0
     ahead = (1.0, 0.0, 0.0)
-    assert limit(later, ahead).share < limit(arrivals, ahead).share
+    assert limit(later, ahead).fraction < limit(arrivals, ahead).fraction
 
 
 @pytest.mark.parametrize(

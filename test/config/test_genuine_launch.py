@@ -33,10 +33,8 @@ service = LaunchService(argv=words)
 included = IncludeLaunchDescription(source, launch_arguments=arguments)
 service.include_launch_description(LaunchDescription([included]))
 sys.exit(service.run())
-"""
-"""What `ros2 launch` does with a file and its arguments."""
-START_TIMEOUT = 60.0
-"""Real time within which all nodes start and end on a busy machine [s]."""
+"""  #: What `ros2 launch` does with a file and its arguments
+START_TIMEOUT = 60.0  #: Real time within which all nodes start and end on a busy machine [s]
 
 
 @pytest.fixture
@@ -45,13 +43,13 @@ def environment(monkeypatch, tmp_path):
     prefix = tmp_path / "prefix"
     index = prefix / "share" / "ament_index" / "resource_index" / "packages"
     library = prefix / "lib" / "omniman_ros"
-    share = prefix / "share" / "omniman_ros"
-    for folder in (index, library, share):
+    fraction = prefix / "share" / "omniman_ros"
+    for folder in (index, library, fraction):
         folder.mkdir(parents=True)
     (index / "omniman_ros").touch()
     for name in ("config", "launch", "rviz"):
         target = ROOT / "config" if name == "config" else ROOT / "config" / name
-        (share / name).symlink_to(target)
+        (fraction / name).symlink_to(target)
     monkeypatch.setattr(setuptools, "setup", lambda **arguments: None)
     for name, place in runpy.run_path(str(ROOT / "setup.py"))["EXECUTABLES"].items():
         module, _, function = place.partition(":")

@@ -234,8 +234,8 @@ def stand_ins(monkeypatch, installed):
         monkeypatch.setitem(sys.modules, name, module)
 
 
+#: Executables of third-party packages of the same name
 THIRD_PARTY_NODES = {"robot_state_publisher", "rviz2"}
-"""Executables of third-party packages of the same name."""
 
 
 def load(file, **given):

@@ -99,6 +99,6 @@ def test_every_panel_has_a_share_of_its_tab(layout):
     splitters = list(layout.iter("DockSplitter"))
     assert len(splitters) == len(list(layout.iter("Tab"))) == 6
     for splitter in splitters:
-        shares = [float(size) for size in splitter.get("sizes").split(";")]
-        assert len(shares) == int(splitter.get("count")) == len(splitter.findall("DockArea"))
-        assert sum(shares) == pytest.approx(1.0, abs=1e-3)
+        fractions = [float(size) for size in splitter.get("sizes").split(";")]
+        assert len(fractions) == int(splitter.get("count")) == len(splitter.findall("DockArea"))
+        assert sum(fractions) == pytest.approx(1.0, abs=1e-3)

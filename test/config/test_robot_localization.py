@@ -7,8 +7,7 @@ from omniman_ros.nodes.platform_controller_parameters import PlatformControllerP
 from test.config.documented import ROOT
 
 FILE = ROOT / "config" / "robot_localization" / "map.yaml"
-STATES = 15
-"""Number of the filter's states: poses, rates, accelerations."""
+STATES = 15  #: Number of the filter's states: poses, rates, accelerations
 
 
 def test_the_filter_publishes_where_odom_is_in_map_and_nothing_else():

@@ -190,7 +190,7 @@ class Sensed(Rig):
 
     def __init__(self, **changes):
         super().__init__(changes={f"held.{key}": value for key, value in changes.items()})
-        self.share = np.ones(3)
+        self.fraction = np.ones(3)
         self._velocity = np.zeros(3)
         self.hooked = self.drive
         self.drive = self.measured
@@ -198,7 +198,7 @@ class Sensed(Rig):
     def measured(self, command):
         """Return the wheels' speeds; the sensor measures the platform's motion with them."""
         speeds = self.hooked(command)
-        velocity = self.share * (self.core.cascade.kinematics.J_pinv @ speeds)
+        velocity = self.fraction * (self.core.cascade.kinematics.J_pinv @ speeds)
         vx, vy, w = velocity
         change = (velocity - self._velocity)[:2] / DT + [-w * vy, w * vx]
         self._velocity = velocity
@@ -214,7 +214,7 @@ def test_a_sensor_that_agrees_with_the_wheels_is_no_alarm():
 
 def test_wheels_that_turn_a_robot_that_stands_are_noticed_without_torques():
     rig = Sensed().cruise(0.0, 0.0, 0.4)
-    rig.share = np.zeros(3)
+    rig.fraction = np.zeros(3)
     begin = rig.now
     while rig.core.latch.released and rig.now < begin + 1.0:
         rig.run(DT, lambda: rig.twist(0.0, 0.0, 0.4))
@@ -227,7 +227,7 @@ def test_wheels_that_turn_a_robot_that_stands_are_noticed_without_torques():
 
 def test_a_collision_is_noticed_at_once_without_torques():
     rig = Sensed().cruise(0.5, 0.0, 0.0)
-    rig.share = np.zeros(3)
+    rig.fraction = np.zeros(3)
     rig.run(0.1, lambda: rig.twist(0.5, 0.0, 0.0))
     assert "it has lost 0.49 m/s" in rig.core.latch.status.reason, "0.5 m/s, 15 ms ago"
 
@@ -237,7 +237,7 @@ def test_a_collision_is_noticed_at_once_without_torques():
 )
 def test_each_threshold_of_the_sensor_counts(name, twist):
     rig = Sensed(**{name: 1.0}).cruise(*twist)
-    rig.share = np.zeros(3)
+    rig.fraction = np.zeros(3)
     rig.run(1.0, lambda: rig.twist(*twist))
     assert rig.core.latch.released, rig.core.latch.status
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.kinematics import (
-    MIN_REMAINING_SHARE,
+    MIN_REMAINING_FRACTION,
     PlatformKinematics,
     wheel_row,
 )
@@ -274,7 +274,7 @@ def test_six_and_eight_wheels_without_any_two_determine_the_twist(name, pair):
     whole = kinematics(name)
     n = whole.wheel_count
     assert remaining_rank(whole, pair) == 3
-    assert MIN_REMAINING_SHARE < whole.remaining_share(pair) < 1.0
+    assert MIN_REMAINING_FRACTION < whole.remaining_fraction(pair) < 1.0
     left = PlatformKinematics(robot(name).wheels, pair)
     rng = np.random.default_rng(pair)
     twist = rng.uniform(-1, 1, 3)
@@ -295,7 +295,7 @@ def test_six_and_eight_wheels_without_any_two_determine_the_twist(name, pair):
 def test_four_wheels_without_any_two_do_not_determine_the_twist(name, pair):
     whole = kinematics(name)
     assert remaining_rank(whole, pair) == 2
-    assert whole.remaining_share(pair) == 0.0
+    assert whole.remaining_fraction(pair) == 0.0
 
 
 @pytest.mark.parametrize("count", [3, 4, 5])
@@ -306,9 +306,9 @@ def test_remaining_share_is_zero_exactly_where_the_rank_is_below_three(name, cou
     for _, subset in subsets(count, name):
         rank = int(remaining_rank(whole, subset))
         if rank < 3:
-            assert whole.remaining_share(subset) < 1e-9
+            assert whole.remaining_fraction(subset) < 1e-9
         else:
-            assert 0.01 < whole.remaining_share(subset) < 1.0
+            assert 0.01 < whole.remaining_fraction(subset) < 1.0
         found[3 if rank == 3 else 2] += 1
     if (name, count) in {("mecanum6", 3), ("mecanum8", 4), ("mecanum8", 5)}:
         assert found[2] > 0, "wheels with parallel rollers, however many, leave a direction open"

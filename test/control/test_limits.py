@@ -10,8 +10,8 @@ from omniman_ros.control.limits import TwistLimiter, clamp, ramp_down, ratio, sa
 from test.robots import parameters
 
 LIMITS = parameters("omniman").limits
+#: Equal acceleration and deceleration, so that one bound holds for all ticks
 EVEN = replace(LIMITS, linear_deceleration=0.8, angular_deceleration=1.2)
-"""Equal acceleration and deceleration, so that one bound holds for all ticks."""
 SLOPE = 1 + 1e-9
 
 NUMBER = st.floats(-5, 5)

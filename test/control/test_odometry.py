@@ -201,11 +201,11 @@ def test_covariance_agrees_with_a_monte_carlo_simulation():
         twist = np.array([0.8, 0.3 * math.sin(0.05 * i), 0.6])
         drive(odometry, model, twist, [dt])
         vx, vy, w = twist
-        travel, heading = math.hypot(vx, vy) * dt, poses[:, 2] + 0.5 * w * dt
+        displacement, heading = math.hypot(vx, vy) * dt, poses[:, 2] + 0.5 * w * dt
         c, s = np.cos(heading), np.sin(heading)
         poses += np.column_stack([c * vx - s * vy, s * vx + c * vy, np.full(samples, w)]) * dt
-        poses[:, :2] += rng.normal(0, math.sqrt(q_xy * travel), (samples, 2))
-        poses[:, 2] += rng.normal(0, math.sqrt(q_turn * w * dt + q_drift * travel), samples)
+        poses[:, :2] += rng.normal(0, math.sqrt(q_xy * displacement), (samples, 2))
+        poses[:, 2] += rng.normal(0, math.sqrt(q_turn * w * dt + q_drift * displacement), samples)
     sampled = np.cov(poses.T)
     scale = np.sqrt(np.diag(sampled))
     difference = (odometry.covariance - sampled) / np.outer(scale, scale)

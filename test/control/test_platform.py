@@ -1129,8 +1129,8 @@ def base_of(name):
     return {"drive.dead_wheel": "drive_on"} if name == "drive.dead_limits" else {}
 
 
+#: Parameters that need an inertial sensor or a turn that is held: test_imu, test_held_robot
 APART = ("imu.", "held.torque", "held.yaw_rate", "held.speed")
-"""Parameters that need an inertial sensor or a turn that is held: test_imu, test_held_robot."""
 
 
 def tour(changes):

@@ -11,8 +11,8 @@ from omniman_ros.control.dynamics import GRAVITY, PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import ratio
 from omniman_ros.control.stability import (
-    MIN_SHARE,
-    SHARE_STEPS,
+    LIMIT_SCALE_STEPS,
+    MIN_LIMIT_SCALE,
     StabilityLimiter,
     StabilityParameters,
     SupportModel,
@@ -91,14 +91,14 @@ def test_no_motion_within_the_limits_left_uses_up_margin_or_grip(name):
     made, model = support(name, arm__com_y=0.2, arm__mass=40.0)
     limits = replace(parameters(name).limits, linear_acceleration=5.0, linear_deceleration=6.0)
     margin = 0.05
-    share = model.share(limits, margin)
-    assert MIN_SHARE < share < 1.0
-    left = slowed_limits(limits, share)
+    fraction = model.fraction(limits, margin)
+    assert MIN_LIMIT_SCALE < fraction < 1.0
+    left = slowed_limits(limits, fraction)
     linear, yaw = map(max, left.acceleration, left.deceleration)
     centripetal = left.linear_velocity * left.angular_velocity
     kinematics = PlatformKinematics(made.wheels)
     mass = PlatformDynamics(made, kinematics).mass_matrix
-    lever = np.array(made.wheels.radius) * np.cos(made.wheels.roller_angle)
+    lever_arm = np.array(made.wheels.radius) * np.cos(made.wheels.roller_angle)
     least_margin, least_grip = math.inf, math.inf
     for k, side in itertools.product(range(360), (-1.0, 1.0)):
         way = np.array([math.cos(math.radians(k)), math.sin(math.radians(k)), 0.0])
@@ -106,7 +106,7 @@ def test_no_motion_within_the_limits_left_uses_up_margin_or_grip(name):
         point = (linear + centripetal) * way + turn
         least_margin = min(least_margin, model.margin(point, left.angular_velocity))
         asked = linear * way + turn
-        force = np.abs(kinematics.J_pinv.T @ mass @ asked / lever)
+        force = np.abs(kinematics.J_pinv.T @ mass @ asked / lever_arm)
         grip = made.friction.mu * model.loads(asked) - force
         least_grip = min(least_grip, float(grip.min()))
     assert least_margin >= margin - 1e-9 and least_grip >= -1e-6
@@ -116,13 +116,13 @@ def test_no_motion_within_the_limits_left_uses_up_margin_or_grip(name):
 
 def test_lowered_limits_keep_the_way_of_a_stop():
     limits = parameters().limits
-    for share in (0.1, 0.5, 0.95, 1.0):
-        left = slowed_limits(limits, share)
+    for fraction in (0.1, 0.5, 0.95, 1.0):
+        left = slowed_limits(limits, fraction)
         for v, a, full_v, full_a in zip(
             left.velocity, left.deceleration, limits.velocity, limits.deceleration, strict=True
         ):
             assert v**2 / (2 * a) == pytest.approx(full_v**2 / (2 * full_a))
-            assert a == pytest.approx(share * full_a)
+            assert a == pytest.approx(fraction * full_a)
 
 
 def test_the_share_changes_in_steps_and_does_not_chatter():
@@ -132,28 +132,34 @@ def test_the_share_changes_in_steps_and_does_not_chatter():
         def __init__(self):
             self.left = 1.0
 
-        def share(self, limits, margin):
+        def fraction(self, limits, margin):
             return self.left
 
     limiter, given, limits = StabilityLimiter(), Given(), parameters().limits
-    shares = []
+    fractions = []
     for k in range(400):
         given.left = 0.6 + 0.02 * math.sin(0.3 * k)  # across a step
         limiter.configure(StabilityParameters(), given, limits)
-        assert limiter.share <= given.left
-        shares.append(limiter.share)
-    assert set(shares[25:]) == {0.55}
-    for left, share in ((0.63, 0.6), (0.67, 0.6), (0.68, 0.65), (1.4, 1.0), (-3.0, MIN_SHARE)):
+        assert limiter.fraction <= given.left
+        fractions.append(limiter.fraction)
+    assert set(fractions[25:]) == {0.55}
+    for left, fraction in (
+        (0.63, 0.6),
+        (0.67, 0.6),
+        (0.68, 0.65),
+        (1.4, 1.0),
+        (-3.0, MIN_LIMIT_SCALE),
+    ):
         given.left = left
         limiter.configure(StabilityParameters(), given, limits)
-        assert limiter.share == pytest.approx(share)
-    assert (0.65 * SHARE_STEPS).is_integer()
+        assert limiter.fraction == pytest.approx(fraction)
+    assert (0.65 * LIMIT_SCALE_STEPS).is_integer()
 
 
 @pytest.mark.parametrize("name", ["ig42", "omni3", *ARMED])
 def test_shipped_robots_keep_their_limits(name):
     rig = Rig(name)
-    assert rig.core.stability.share == 1.0
+    assert rig.core.stability.fraction == 1.0
     assert rig.core.limits == rig.core.parameters.limits
 
 
@@ -167,8 +173,8 @@ def test_a_robot_without_an_arm_is_never_limited():
 def test_every_source_accelerates_as_the_posture_allows(preview):
     rig = Rig().run(0.1)
     rig.core.set_arm(far_arm())
-    share = rig.core.stability.share
-    assert MIN_SHARE < share < 0.8
+    fraction = rig.core.stability.fraction
+    assert MIN_LIMIT_SCALE < fraction < 0.8
     if preview:
         rig.core.set_preview(Source.PATH, rig.move((0.0, 0.6, 0.0), 1.4), rig.now)
         rig.run(1.5)
@@ -178,8 +184,8 @@ def test_every_source_accelerates_as_the_posture_allows(preview):
     rates = np.diff(twists, axis=0) / DT
     full = parameters().limits
     fastest = max(ratio(row, full.acceleration) for row in rates if row @ row > 0)
-    assert 0.9 * share < fastest
-    bound = tuple(share * each for each in map(max, full.acceleration, full.deceleration))
+    assert 0.9 * fraction < fastest
+    bound = tuple(fraction * each for each in map(max, full.acceleration, full.deceleration))
     assert max(ratio(row, bound) for row in rates) <= 1 + 1e-6
     margins = [rig.core.stability.support.margin(row) for row in rates]
     assert min(margins) >= rig.core.parameters.stability.margin
@@ -209,7 +215,7 @@ def test_an_arm_that_stretches_in_motion_slows_the_robot_down_within_the_limits(
         rig.core.set_arm(replace(far_arm(), com_y=0.35 * (k + 1) / 50))
         rig.cruise(0.0, 1.0, 0.0, seconds=0.04)
     rig.cruise(0.0, 1.0, 0.0, seconds=2.0)
-    assert rig.core.setpoint[1] == pytest.approx(math.sqrt(rig.core.stability.share))
+    assert rig.core.setpoint[1] == pytest.approx(math.sqrt(rig.core.stability.fraction))
     rates = np.diff(np.array(rig.setpoints[since - 1 :]), axis=0) / DT
     full = rig.core.parameters.limits
     assert max(ratio(row, full.deceleration) for row in rates) <= 1 + 1e-6

@@ -388,7 +388,7 @@ def test_models_without_a_wheel_equal_those_of_the_remaining_wheels(robot):
 
 def test_remaining_capability_is_reported():
     model = kinematics("omniman")
-    assert model.remaining_share(()) == pytest.approx(1.0)
-    assert all(0.5 < model.remaining_share([k]) < 1.0 for k in range(4))
-    assert model.remaining_share([0, 1]) == 0.0
-    assert kinematics("mecanum8").remaining_share([3]) > 0.8
+    assert model.remaining_fraction(()) == pytest.approx(1.0)
+    assert all(0.5 < model.remaining_fraction([k]) < 1.0 for k in range(4))
+    assert model.remaining_fraction([0, 1]) == 0.0
+    assert kinematics("mecanum8").remaining_fraction([3]) > 0.8

@@ -19,8 +19,7 @@ from test.control.rig import DT, START, Rig
 from test.tiers import representative
 
 CALIBRATION = {"odometry.scale_y": 0.97, "odometry.yaw_per_x": 0.01}
-TURNING = (2.0, 3.0, 1.0, 5.0)
-"""Speeds of wheels that slip [rad/s]."""
+TURNING = (2.0, 3.0, 1.0, 5.0)  #: Speeds of wheels that slip [rad/s]
 GAP = MAX_GAP + 0.2
 
 

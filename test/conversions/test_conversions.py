@@ -9,7 +9,7 @@ from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.motion.path.interpolator import Window
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters, ObstacleSet
 from test.robots import kinematics
@@ -813,7 +813,9 @@ def test_motion_survives_a_round_trip_also_between_its_points():
         k = int(rng.integers(2, 15))
         times = 7.0 + np.cumsum(rng.uniform(1e-3, 0.3, k))
         poses = np.cumsum(rng.normal(0.0, 0.2, (k, 3)), axis=0) + [0.0, 0.0, 3.0]
-        motion = Motion(times, poses, rng.normal(0.0, 0.5, (k, 3)), np.zeros((k - 1, 4)))
+        motion = HermiteTrajectory(
+            times, poses, rng.normal(0.0, 0.5, (k, 3)), np.zeros((k - 1, 4))
+        )
         stamp = Time(sec=100, nanosec=250_000_000)
         message = preview_message("odom", stamp, motion.times, motion.poses, motion.velocities)
         assert (message.header.frame_id, message.header.stamp) == ("odom", stamp)

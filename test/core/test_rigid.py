@@ -53,14 +53,14 @@ def test_interpolated_transforms_turn_at_a_constant_rate_on_the_shorter_way():
         b, _ = random_transform(rng)
         if rng.random() < 0.5:  # the same rotation
             b = Transform(b.translation, tuple(-value for value in b.rotation))
-        share = float(rng.uniform())
-        between = a.interpolated(b, share)
+        fraction = float(rng.uniform())
+        between = a.interpolated(b, fraction)
         relative = a.matrix()[:3, :3].T @ b.matrix()[:3, :3]
         part = a.matrix()[:3, :3].T @ between.matrix()[:3, :3]
         whole = math.acos((np.trace(relative) - 1) / 2)
         # acos loses digits near 0 and pi
-        assert math.acos((np.trace(part) - 1) / 2) == pytest.approx(share * whole, abs=1e-6)
-        line = (1 - share) * np.array(a.translation) + share * np.array(b.translation)
+        assert math.acos((np.trace(part) - 1) / 2) == pytest.approx(fraction * whole, abs=1e-6)
+        line = (1 - fraction) * np.array(a.translation) + fraction * np.array(b.translation)
         assert between.translation == pytest.approx(line)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from omniman_ros.demo.demo import load_demo
 from omniman_ros.demo.figures import ArmMove, TwistPhase
 from omniman_ros.demo.measures import Interval
-from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.recorder import DemoRecording
 
 START = 1000.0
 DURATION = 8.0
@@ -23,7 +23,7 @@ def reference_poses(times):
 
 
 def reference_rows():
-    """Rows of `Recording.reference`: previews that overlap, with wrapped headings."""
+    """Rows of `DemoRecording.reference`: previews that overlap, with wrapped headings."""
     rows = []
     for begin in np.arange(0.0, DURATION, 0.04):
         times = begin + 0.008 * np.arange(6)
@@ -34,7 +34,7 @@ def reference_rows():
 
 
 def odometry_rows(error=(0.0, 0.0, 0.0), delay=0.0):
-    """Rows of `Recording.odom` of a robot that follows with a constant error or a delay [s]."""
+    """Rows of `DemoRecording.odom` of a robot with a constant error or a delay [s]."""
     times = np.arange(0.0, DURATION, 0.01)
     poses = reference_poses(times - delay) + error
     return np.column_stack([START + times, poses, np.zeros((len(times), 3))])
@@ -43,7 +43,7 @@ def odometry_rows(error=(0.0, 0.0, 0.0), delay=0.0):
 def perfect_run():
     """A demo whose figures are all within their limits, and its recording."""
     odom = odometry_rows()
-    recording = Recording(
+    recording = DemoRecording(
         odom=[tuple(row) for row in odom],
         truth=[tuple(row[:4]) for row in odom],
         coupling=[(START, 0.001), (START + 5.5, 0.1), (START + 7.0, -0.003)],

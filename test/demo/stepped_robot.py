@@ -20,7 +20,7 @@ from trajectory_msgs.msg import (
 from omniman_ros.console import session as console_session
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
 from omniman_ros.demo import driver as demo_driver
-from omniman_ros.demo.driver import Driver
+from omniman_ros.demo.driver import DemoDriver
 
 STEP = 0.02  # time between two steps [s]
 MOTION_TIME = 2.0  # time that each path and each goal takes [s]
@@ -233,4 +233,4 @@ def stepped_driver(monkeypatch, robot, poll=lambda: None, has_arm=True):
     for module in (console_session, demo_driver):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(demo_driver, "TriggerCalls", SteppedReset)
-    return Driver(robot, progress, poll, has_arm=has_arm)
+    return DemoDriver(robot, progress, poll, has_arm=has_arm)

@@ -24,9 +24,9 @@ from omniman_ros.demo.figures import (
     twist_figures,
 )
 from omniman_ros.demo.measures import Interval
-from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People, Perception
-from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.recorder import DemoRecording
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel, planar_transform
 from test.demo.samples import (
     MOVEMENTS,
@@ -136,7 +136,7 @@ LED = Interval("tool path", 1.0, 3.0)
 
 def led_tool(offset=(0.0, 0.0, 0.0), drift=0.0):
     """A resting arm on a straight; the reference is off [m], and odometry drifts [m/s]."""
-    recording = Recording()
+    recording = DemoRecording()
     for t in np.arange(0.0, 4.0, 0.01):
         pose = np.array([0.2 * t, 0.1 * t, 0.05 * t + math.pi - 0.1])
         heading = math.remainder(pose[2], math.tau)
@@ -181,7 +181,7 @@ def figures_of(obstacles, poses, goal=(0.0, 0.0, 0.0)):
 
 def test_the_clearance_is_that_of_robot_and_obstacle_at_the_same_time():
     # The obstacle is beside x = 2 at 102 s, 2 m further left.
-    obstacles = MovingObstacles(
+    obstacles = DemoObstacles(
         START, np.array([[2.0, 0.0]]), np.array([[0.0, 1.0]]), np.array([0.3])
     )
     at_rest = figures_of(obstacles, [(0, 0, 0)] * 3)
@@ -193,7 +193,7 @@ def test_the_clearance_is_that_of_robot_and_obstacle_at_the_same_time():
 
 
 def test_the_error_at_the_goal_is_that_of_the_last_pose():
-    obstacles = MovingObstacles.in_front_of((50.0, 0.0, 0.0), START)
+    obstacles = DemoObstacles.in_front_of((50.0, 0.0, 0.0), START)
     poses = [(0, 0, 0), (1.0, 0.0, math.pi)]
     result = figures_of(obstacles, poses, (1.0, 0.02, -math.pi + 0.01))
     assert result["position_mm"] == pytest.approx(20.0)
@@ -202,7 +202,7 @@ def test_the_error_at_the_goal_is_that_of_the_last_pose():
 
 
 def test_a_goal_without_odometry_is_infinitely_far_away():
-    obstacles = MovingObstacles.in_front_of((0.0, 0.0, 0.0), START)
+    obstacles = DemoObstacles.in_front_of((0.0, 0.0, 0.0), START)
     driven = DrivenGoal(np.zeros(3), obstacles, Interval("goal", START, START + 1.0))
     result = goal_figures(np.zeros((3, 7)), np.zeros((3, 4)), driven, HALF)
     assert result["position_mm"] == math.inf and result["clearance_m"] == -math.inf
@@ -248,7 +248,7 @@ def braking_motion(times, speed, braking, delay=DELAY):
 
 def stopped_robot(creep=0.0, arm_creep=0.0):
     """Recording of a robot that stops; after the reset it creeps [m/s, rad/s]."""
-    recording = Recording()
+    recording = DemoRecording()
     times = np.arange(8.0, 14.0, 0.01)
     position, speed = braking_motion(times, SPEED, BRAKING)
     position = position + creep * np.maximum(times - RESET, 0.0)

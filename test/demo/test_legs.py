@@ -15,8 +15,8 @@ from omniman_ros.conversions.maps import map_message
 from omniman_ros.core.parameters import build
 from omniman_ros.demo import legs
 from omniman_ros.demo.demo import drive, judge, load_demo
-from omniman_ros.demo.legs import Pace, twist_phases
-from omniman_ros.demo.moving_obstacles import DEMO_OBSTACLES, MovingObstacles
+from omniman_ros.demo.legs import DemoSpeeds, twist_phases
+from omniman_ros.demo.moving_obstacles import DEMO_OBSTACLES, DemoObstacles
 from omniman_ros.demo.perception import record_perception
 from omniman_ros.demo.report import ROWS, report_lines
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
@@ -24,7 +24,7 @@ from test import robots
 from test.demo.stepped_robot import NOTICE_TIME, SteppedRobot, stepped_driver
 
 LEGS = {
-    "twists": lambda driver: legs.drive_twists(driver, Pace()),
+    "twists": lambda driver: legs.drive_twists(driver, DemoSpeeds()),
     "path": legs.drive_path,
     "tool": lambda driver: legs.drive_tool(driver, WholeBodyModel(Mount())),
     "goal": lambda driver: legs.drive_to_goal(driver, by_scanner=False),
@@ -146,7 +146,7 @@ def test_a_platform_that_is_still_driven_does_not_get_a_path(monkeypatch):
 @pytest.mark.parametrize("name", robots.ALL)
 def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
     bounds = build(TwistLimits, robots.values(name), "limits.")
-    pace = Pace.within(bounds)
+    pace = DemoSpeeds.within(bounds)
     total = 0.0
     for phase in twist_phases(pace):
         total += phase.duration + 1.0
@@ -171,7 +171,7 @@ def test_the_path_begins_at_the_tool_and_keeps_its_orientation():
 
 
 def test_obstacles_are_placed_and_move_relative_to_the_robot():
-    obstacles = MovingObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
+    obstacles = DemoObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
     x, y, vx, vy, _ = DEMO_OBSTACLES[0]
     assert obstacles.at(100.0)[0] == pytest.approx([1.0 - y, 2.0 + x])
     moved = obstacles.at(102.0)[0] - obstacles.at(100.0)[0]
@@ -179,7 +179,7 @@ def test_obstacles_are_placed_and_move_relative_to_the_robot():
 
 
 def test_the_message_has_the_positions_at_its_time():
-    obstacles = MovingObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
+    obstacles = DemoObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
     message = obstacles.message(103.0, Time(sec=103))
     assert [(m.pose.position.x, m.pose.position.y) for m in message.markers] == [
         pytest.approx(tuple(position)) for position in obstacles.at(103.0)

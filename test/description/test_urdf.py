@@ -18,10 +18,9 @@ from test import robots
 
 ARM = ArmParameters()
 MOUNT = Mount(x=0.21, y=-0.07, z=0.48, yaw=0.7)
-UR5_MASS = 18.4
-"""Mass of the UR5 in its data sheet [kg]."""
+UR5_MASS = 18.4  #: Mass of the UR5 in its data sheet [kg]
+#: Masses of its moving links in the public description [kg]
 MOVING_MASSES = (3.7, 8.393, 2.33, 1.219, 1.219, 0.1879)
-"""Masses of its moving links in the public description [kg]."""
 RANDOM_ROBOTS = [(seed, n) for seed, n in enumerate([3, 4, 5, 6, 8] * 8)]
 
 

@@ -20,10 +20,8 @@ from test.running import arm_on_free_ports
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.processes
 
-PATIENCE = 120.0
-"""Real time for what a test waits for [s]."""
-STOP = 2.0
-"""Real time for which simulated time has to stand while a process is stopped [s]."""
+PATIENCE = 120.0  #: Real time for what a test waits for [s]
+STOP = 2.0  #: Real time for which simulated time has to stand while a process is stopped [s]
 SCENE = """
 tables:
   - {name: table, x: 1.2, y: 0.0, length: 0.8, width: 1.6, height: 0.35}

@@ -36,12 +36,9 @@ PATIENT = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=1.0", "ur.following_err
 PORTS = ("dashboard", "primary", "secondary", "realtime", "rtde", "reverse")
 REST, STILL = 0.01, 0.01
 """Speed below which the arm counts as standing [rad/s] and its allowed further travel [rad]."""
-RETRY = 1.0
-"""Time after which a motion that the arm does not follow begins anew [s]."""
-RESET_PERIOD = 0.5
-"""Time after which a reset that was not granted is asked for again [s]."""
-LASTING = 0.4
-"""Time for which nothing may move [s]."""
+RETRY = 1.0  #: Time after which a motion that the arm does not follow begins anew [s]
+RESET_PERIOD = 0.5  #: Time after which a reset that was not granted is asked for again [s]
+LASTING = 0.4  #: Time for which nothing may move [s]
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ from test.running import Running, command, environment
 
 pytestmark = pytest.mark.exhaustive
 
-STARTS = 10
-"""Number of starts with drives on a bus."""
+STARTS = 10  #: Number of starts with drives on a bus
 
 
 @contextlib.contextmanager

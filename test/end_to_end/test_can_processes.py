@@ -44,15 +44,12 @@ TIMEOUTS = (
     "can.drive_heartbeat:=0.2",
     "can.heartbeat_timeout:=0.5",
     "can.command_timeout:=0.5",
-)
-"""Parameters that relax timeouts for a busy machine: no real robot moves while a process waits."""
+)  #: Parameters that relax timeouts for a busy machine: no real robot moves while a process waits
 OPTIONS = [word for text in TIMEOUTS for word in ("-p", text)]
-SPEED = 0.3
-"""Commanded speed of the platform [m/s]."""
+SPEED = 0.3  #: Commanded speed of the platform [m/s]
+#: Speed below which the platform counts as standing [m/s]; a wheel turns at 0.04 rad/s then
 REST = 0.005
-"""Speed below which the platform counts as standing [m/s]; a wheel turns at 0.04 rad/s then."""
-LASTING = 0.5
-"""Time for which nothing may move [s]."""
+LASTING = 0.5  #: Time for which nothing may move [s]
 
 POWER_OFF = {
     # Controlword "disable voltage" or, once it is off, "shutdown" (IEC 61800-7-201); no target.
@@ -63,8 +60,7 @@ POWER_OFF = {
         node << 5 | 0x07: ("0100000000000000",),
         node << 5 | 0x0D: ("0000000000000000",),
     },
-}
-"""Ids of the last frames to a drive by node id, with the allowed beginnings of their data."""
+}  #: Ids of the last frames to a drive by node id, with the allowed beginnings of their data
 NODE_IDS = {"cia402": (1, 2, 3, 4), "vesc": (1, 2, 3, 4), "odrive": (0, 1, 2, 3)}
 
 

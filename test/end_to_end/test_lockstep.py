@@ -20,12 +20,9 @@ from test.tiers import representative
 
 pytestmark = pytest.mark.processes
 
-PATIENCE = 120.0
-"""Real time for what a test waits for [s]."""
-STOP = 2.0
-"""Real time for which simulated time has to stand while a process is stopped [s]."""
-SPEED = 0.2
-"""Forward velocity of the platform [m/s]."""
+PATIENCE = 120.0  #: Real time for what a test waits for [s]
+STOP = 2.0  #: Real time for which simulated time has to stand while a process is stopped [s]
+SPEED = 0.2  #: Forward velocity of the platform [m/s]
 SIMULATED_PARTS = (
     "simulated_drive",
     "platform_controller",

@@ -22,8 +22,7 @@ PATIENCE = 30.0
 PATIENT = {
     "platform_controller": "timeouts.wheel_states:=2.0",
     "simulated_drive": "firmware.watchdog:=0.3",
-}
-"""Timeouts that other work on the machine does not exceed: only the test stops the robot."""
+}  #: Timeouts that other work on the machine does not exceed: only the test stops the robot
 
 
 class NodeProcesses:

@@ -19,22 +19,18 @@ pytestmark = pytest.mark.exhaustive
 
 ROBOT_NODES = ("platform_controller", "path_interpolator", "simulated_drive")
 DESK_NODES = ("mpc_planner", "viewer")
+#: Parameters of a robot whose commands come from another host, on a machine that may stand still
+#: for a moment.
 SHORT = ("timeouts.cmd_vel:=0.2", "timeouts.preview:=0.15", "timeouts.wheel_states:=2.0")
-"""Parameters of a robot whose commands come from another host, on a machine that may stand still
-for a moment."""
-SPEED = 0.3
-"""Commanded speed [m/s]."""
-AIM = 0.5
-"""Largest time from the cut to rest [s]."""
+SPEED = 0.3  #: Commanded speed [m/s]
+AIM = 0.5  #: Largest time from the cut to rest [s]
+#: Time without a report above which a cut is not judged [s]: the machine has held a process up
 HOLD_UP = 0.03
-"""Time without a report above which a cut is not judged [s]: the machine has held a process up."""
+#: Time for which nothing may move after the cable is in again [s]: DDS has told all by then
 CALM = 4.0
-"""Time for which nothing may move after the cable is in again [s]: DDS has told all by then."""
-LEASE = 22.0
-"""Time after which DDS has given up the participants of the other host [s]."""
+LEASE = 22.0  #: Time after which DDS has given up the participants of the other host [s]
 SERVER = "fast-discovery-server"
-PORT = 11811
-"""Port of the discovery server."""
+PORT = 11811  #: Port of the discovery server
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -22,8 +22,7 @@ receive = pytest.importorskip("rtde_receive")
 control = pytest.importorskip("rtde_control")
 dashboard = pytest.importorskip("dashboard_client")
 
-TOLERANCE = 0.002
-"""Allowed distance of joints at rest from their target [rad]."""
+TOLERANCE = 0.002  #: Allowed distance of joints at rest from their target [rad]
 STOPPED, PLAYING = 1, 2
 """runtime_state."""
 INITIAL = [-1.6007, -1.7271, -2.203, -0.808, 1.5951, -0.031]

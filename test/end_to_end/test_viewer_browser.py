@@ -25,6 +25,10 @@ CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="no chromium on the PATH and none named by $CHROMIUM"
 )
+#: Options: no network but the page's, and 3D without a graphics card.
+#:
+#: The plots are drawn without the emulated graphics card, which would take seconds for those of a
+#: second page and hold up its mouse meanwhile.
 QUIET = (
     "--no-sandbox",
     "--disable-quic",
@@ -37,12 +41,10 @@ QUIET = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
-"""Options: no network but the page's, and 3D without a graphics card.
-
-The plots are drawn without the emulated graphics card, which would take seconds for those of a
-second page and hold up its mouse meanwhile."""
+#: A page with few pixels in its scene, because the CPU renders them beside the robot
 COARSE = "?fixedDpr=0.25"
-"""A page with few pixels in its scene, because the CPU renders them beside the robot."""
+#: The machine may stall for a moment, which must not latch a stop of the robot; and the browser
+#: needs the processor, too.
 SLOWLY = [
     word
     for text in (
@@ -58,21 +60,15 @@ SLOWLY = [
     )
     for word in ("-p", text)
 ]
-"""The machine may stall for a moment, which must not latch a stop of the robot; and the browser
-needs the processor, too."""
 NODES = ("simulated_drive", "platform_controller", "mpc_planner", "viewer")
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "results"
 SIZE = {"width": 1300, "height": 780}
 BODY = robots.robot("omniman").body
-PLACE = 1.7, 0.5
-"""Position to which the goal is dragged, ahead and beside the robot [m]."""
-POSITION = re.compile(r"odom ([+-]\d+\.\d\d)")
-"""Position x on the page."""
-DIGIT = 0.011
-"""Its resolution, with round-off [m]."""
-HAND = 0.15
-"""Accuracy of placing an object by mouse in a page with few pixels [m]."""
+PLACE = 1.7, 0.5  #: Position to which the goal is dragged, ahead and beside the robot [m]
+POSITION = re.compile(r"odom ([+-]\d+\.\d\d)")  #: Position x on the page
+DIGIT = 0.011  #: Its resolution, with round-off [m]
+HAND = 0.15  #: Accuracy of placing an object by mouse in a page with few pixels [m]
 MOVED = 0.2
 PRESSES = 6
 

@@ -4,7 +4,7 @@ import pytest
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.lab import measurement
-from omniman_ros.lab.measurement import cpu_shares, cpu_time
+from omniman_ros.lab.measurement import cpu_fractions, cpu_time
 
 
 def test_cpu_time_agrees_with_the_system():
@@ -22,7 +22,7 @@ def test_cpu_share_is_cpu_time_over_time(monkeypatch):
 
     monkeypatch.setattr(measurement, "cpu_time", spent.get)
     monkeypatch.setattr(measurement.time, "monotonic", lambda: clock[0])
-    assert cpu_shares({"busy": 7, "idle": 9}, serve) == {"busy": 1.0, "idle": 0.25}
+    assert cpu_fractions({"busy": 7, "idle": 9}, serve) == {"busy": 1.0, "idle": 0.25}
 
 
 def test_cpu_time_of_a_missing_process_is_an_error():

@@ -18,11 +18,9 @@ _CASES: dict[str, tuple[list[float], list[float], float]] = {
     "name twice": (GOOD, GOOD, 0.0),
     "old": (GOOD, GOOD, -3.0),
     "ahead": (GOOD, GOOD, 1.0),
-}
-"""Positions, velocities and how far the stamp is ahead [s], by name."""
+}  #: Positions, velocities and how far the stamp is ahead [s], by name
 
-CASES = tuple(_CASES)
-"""Names of the cases."""
+CASES = tuple(_CASES)  #: Names of the cases
 
 WRONG_NAMES: dict[str, Callable[[Sequence[str]], list[str]]] = {
     "wrong name": lambda names: ["a", "b", "c", "d"],

@@ -16,15 +16,13 @@ from rosidl_parser.definition import (
 )
 
 FLOATS = (0.0, 1.0, -1.0, 0.1, 1e-12, 1e6, 1e300, math.nan, math.inf, -math.inf)
-LONGEST = 7
-"""Largest number of items in a sequence."""
+LONGEST = 7  #: Largest number of items in a sequence
 
 
 class RandomMessages:
     """Makes messages by a seed.
 
     Args:
-        seed: Seed of all choices.
         words: Texts that the node under test knows, such as names of joints and frames.
         stamp: Returns a stamp that is fresh.
     """

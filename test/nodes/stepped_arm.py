@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from omniman_ros.simulation.ur.arm import CYCLE
-from omniman_ros.simulation.ur.modes import RuntimeState
+from omniman_ros.simulation.ur.modes import Cb3RuntimeState
 from omniman_ros.ur.process_channel import ProcessChannelError
 from omniman_ros.ur.streaming_loop import StreamingLoop
 from omniman_ros.ur.streaming_messages import CommandMessage, StreamingReport
@@ -13,8 +13,7 @@ from omniman_ros.ur.streaming_process import ENDED
 from test.nodes.harness import START
 from test.ur.stepped_link import SteppedLink
 
-REST_SPEED = 0.01
-"""Speed below which the arm counts as standing [rad/s]."""
+REST_SPEED = 0.01  #: Speed below which the arm counts as standing [rad/s]
 
 
 class SteppedArm(SteppedLink):
@@ -62,10 +61,10 @@ class SteppedArm(SteppedLink):
         return self.speed < REST_SPEED
 
     def plays(self):
-        return self.controller.runtime is RuntimeState.PLAYING
+        return self.controller.runtime is Cb3RuntimeState.PLAYING
 
     def is_paused(self):
-        return self.controller.runtime is RuntimeState.PAUSED
+        return self.controller.runtime is Cb3RuntimeState.PAUSED
 
     # ---- the rest of a `ControllerLink` ---------------------------------------------------------
 

@@ -24,7 +24,7 @@ from omniman_ros.nodes.arm_streamer import ArmStreamerNode
 from omniman_ros.nodes.hardware_node import RETRY_PERIOD
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.simulation.ur.arm import CYCLE
-from omniman_ros.simulation.ur.modes import UNLOCK_DELAY, RobotMode, SafetyMode
+from omniman_ros.simulation.ur.modes import UNLOCK_DELAY, Cb3RobotMode, Cb3SafetyMode
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.streaming_client import HANG_TIMEOUT
 from test.nodes.harness import World
@@ -33,10 +33,8 @@ from test.nodes.stepped_arm import SteppedArm
 NODE = "/arm_streamer"
 TIMEOUT = 5.0
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-STILL = 1e-3
-"""Largest further travel of an arm that stands [rad]."""
-PREVIEW_PERIOD = 0.04
-"""Time between two previews [s]."""
+STILL = 1e-3  #: Largest further travel of an arm that stands [rad]
+PREVIEW_PERIOD = 0.04  #: Time between two previews [s]
 AMPLITUDE, RATE = 0.3, 1.5
 """Amplitude [rad] and angular frequency [rad/s] of the motion of all joints."""
 
@@ -46,7 +44,6 @@ class Bench(World):
 
     Args:
         unreachable: Why the controller cannot be reached, or an empty string.
-        parameters: Parameters of the streamer.
 
     Attributes:
         arm: The simulated controller and the streaming process.
@@ -247,11 +244,11 @@ def test_stop_that_is_reset_while_inactive_does_not_return():
 def test_failed_activation_can_be_retried_at_once():
     with Bench(autostart=False) as bench:
         assert bench.change(Transition.TRANSITION_CONFIGURE)
-        bench.arm.controller.power(RobotMode.POWER_OFF)
+        bench.arm.controller.power(Cb3RobotMode.POWER_OFF)
         bench.run(0.1)
         assert "power off" in bench.node.streaming.report.blocking_reason
         assert not bench.change(Transition.TRANSITION_ACTIVATE)
-        bench.arm.controller.power(RobotMode.RUNNING)
+        bench.arm.controller.power(Cb3RobotMode.RUNNING)
         bench.until(lambda: not bench.node.streaming.report.blocking_reason, "power")
         assert bench.change(Transition.TRANSITION_ACTIVATE)
         bench.swing()
@@ -387,9 +384,9 @@ def test_emergency_stop_of_the_controller_is_latched_until_its_power_is_back():
         assert "still present: safety mode" in bench.trigger("reset").message
         bench.arm.fault(emergency_stop=False)
         bench.run(0.1)
-        assert bench.arm.controller.safety_mode is SafetyMode.NORMAL
+        assert bench.arm.controller.safety_mode is Cb3SafetyMode.NORMAL
         assert "still present: robot mode" in bench.trigger("reset").message
-        assert bench.arm.controller.power(RobotMode.RUNNING)
+        assert bench.arm.controller.power(Cb3RobotMode.RUNNING)
         bench.until(lambda: not bench.node.streaming.report.blocking_reason, "power")
         bench.assert_goes_on()
 
@@ -504,11 +501,11 @@ def test_the_arm_obeys_a_motion_limit_and_comes_to_rest_without_one():
     with Bench(**{"collision_monitor.use": True}) as bench:
         limits = bench.publisher(JointState, "motion_limit", 1)
         demands = bench.listen(JointState, "motion_demand")
-        share = [1.0]
+        fraction = [1.0]
 
         def limit():
-            if share:
-                message = JointState(name=["platform", "arm"], velocity=[0.0, share[0]])
+            if fraction:
+                message = JointState(name=["platform", "arm"], velocity=[0.0, fraction[0]])
                 message.header.stamp = bench.stamp()
                 limits.publish(message)
 
@@ -516,7 +513,7 @@ def test_the_arm_obeys_a_motion_limit_and_comes_to_rest_without_one():
         bench.swing()
         assert tuple(demands[-1].name) == UR_JOINTS
         assert max(map(abs, demands[-1].velocity)) > 0.1
-        share.clear()  # the monitor has died
+        fraction.clear()  # the monitor has died
         bench.move(1.0)
         bench.run(1.0)  # the simulated arm swings out
         place = bench.arm.place
@@ -524,6 +521,6 @@ def test_the_arm_obeys_a_motion_limit_and_comes_to_rest_without_one():
         assert np.abs(bench.arm.place - place).max() < STILL
         assert bench.node.latch.released
         assert ("motion_limit", 0.0) in bench.node.status()[2]
-        share.append(1.0)
+        fraction.append(1.0)
         bench.run(0.1)
         bench.swing()

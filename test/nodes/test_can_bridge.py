@@ -19,7 +19,7 @@ from std_msgs.msg import Bool, Float64MultiArray, UInt32MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.can_drives.bus import BusError, CanBus
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
@@ -111,7 +111,7 @@ class SteppedBus:
 
     def _deliver(self, messages):
         if self.is_open and not self.is_lost:
-            self._inbox.extend(Frame(m.arbitration_id, bytes(m.data)) for m in messages)
+            self._inbox.extend(CanFrame(m.arbitration_id, bytes(m.data)) for m in messages)
 
     @property
     def speeds(self):

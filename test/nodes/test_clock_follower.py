@@ -11,8 +11,7 @@ from omniman_ros.nodes.clock_follower import PERMITS_TOPIC
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from test.nodes.harness import MATCH_TIMEOUT, World
 
-PERIOD = 0.005
-"""Step of /clock [s]."""
+PERIOD = 0.005  #: Step of /clock [s]
 
 
 class FollowingNode(OmnimanNode):

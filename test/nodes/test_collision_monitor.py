@@ -178,7 +178,7 @@ def test_a_second_publisher_cannot_loosen_the_limit():
 
         world.run(1.2, loosen)
         assert min(world.gaps) >= GAP
-        assert world.nodes[3].motions.limits.shares[0] < 0.5
+        assert world.nodes[3].motions.limits.fractions[0] < 0.5
         assert "motion_limit has more than one publisher" in world.controller.status()[1]
 
 
@@ -204,7 +204,7 @@ class Watcher(World):
         self.arm.publish(self.joints)
 
     @property
-    def shares(self):
+    def fractions(self):
         """Shares of platform and arm."""
         return list(last(self.limits).velocity)
 
@@ -212,10 +212,10 @@ class Watcher(World):
 def test_without_odometry_or_with_a_silent_arm_the_monitor_is_blind():
     with Watcher() as world:
         world.run(0.1)
-        assert world.shares == [0.1, 0.1]
+        assert world.fractions == [0.1, 0.1]
         assert world.nodes[0].state.reason == "no odom"
         world.run(0.1, world.measure_odom)
-        assert world.shares == [1.0, 1.0]
+        assert world.fractions == [1.0, 1.0]
         assert ("watches", "platform") in world.nodes[0].status()[2]
         world.run(0.1, world.measure)
         assert ("watches", "platform and arm") in world.nodes[0].status()[2]
@@ -227,12 +227,12 @@ def test_without_odometry_or_with_a_silent_arm_the_monitor_is_blind():
 def test_inputs_that_end_as_time_goes_back_leave_the_monitor_blind():
     with Watcher() as world:
         world.run(0.1, world.measure)
-        assert world.shares == [1.0, 1.0]
+        assert world.fractions == [1.0, 1.0]
         world.time -= 60.0
         world.run(0.1)
         assert world.nodes[0].state.reason == "odom is inf s old; arm/joint_states are inf s old"
         world.run(0.1, world.measure)
-        assert world.shares == [1.0, 1.0]
+        assert world.fractions == [1.0, 1.0]
 
 
 UNUSABLE = {
@@ -268,13 +268,13 @@ def test_what_is_published_and_not_got_in_usable_form_makes_the_monitor_blind(ca
         logged = []
         world.nodes[0].warn = lambda subject, text: logged.append(text)
         world.run(1.2, world.measure)
-        assert world.shares == [1.0, 1.0], "nobody publishes: it has no sensors"
+        assert world.fractions == [1.0, 1.0], "nobody publishes: it has no sensors"
         publisher = world.probe.create_publisher(kind, topic, qos)
         if message is not None:
             world._await(lambda: publisher.get_subscription_count() > 0, "the monitor")
             publisher.publish(message)
         world.run(2.6, world.measure)
-        assert world.shares == [0.1, 0.1]
+        assert world.fractions == [0.1, 0.1]
         assert world.nodes[0].state.name == "blind" and reason in world.nodes[0].state.reason
         assert any(f"the robot is blind: {topic}" in text or reason in text for text in logged)
 
@@ -327,7 +327,7 @@ def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():
             demands.publish(JointState(name=["base_x"], velocity=[value]))
             limits.publish(JointState(name=["platform"], velocity=[0.0]))
             world.go(-1.0, seconds=0.02)
-        assert world.core.motion_limit.share(world.time) == 1.0
+        assert world.core.motion_limit.fraction(world.time) == 1.0
         assert world.controller.warning_counts["motion_limit"] >= 4
         assert world.monitor.warning_counts["motion_demand"] >= 1
 

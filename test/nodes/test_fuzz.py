@@ -22,12 +22,11 @@ WHEELS = list(load_robot("omniman")["wheels.names"])
 WORDS = [*WHEELS, *UR_JOINTS, "platform", "odom", "map", "base_link", "arm"]
 COMMANDS = ("wheel_commands", "wheel_voltages", "arm/joint_reference", "path/reference")
 COMMANDS += ("mpc/reference", "mpc/voltages", "motion_limit", "odom")
+#: Topics that are fed in the second half only, as nothing moves afterwards
 STOPS = ("emergency_stop", "stop_state")
-"""Topics that are fed in the second half only, as nothing moves afterwards."""
+#: Nodes that are fed, the one of the suite first; the page is tested with a browser
 FED = sorted(set(NODES) - {"viewer"}, key=lambda name: (name != "joint_states_merger", name))
-"""Nodes that are fed, the one of the suite first; the page is tested with a browser."""
-COUNT = examples(700)
-"""Number of messages for each node."""
+COUNT = examples(700)  #: Number of messages for each node
 
 
 def make_class(name):

@@ -18,7 +18,6 @@ class Placed(World):
 
     Args:
         hears_tf: Whether tf2_msgs is installed.
-        parameters: Parameters of the node.
     """
 
     def __init__(self, *, hears_tf: bool = True, **parameters: object) -> None:

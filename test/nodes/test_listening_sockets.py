@@ -18,26 +18,24 @@ from test.nodes.test_fuzz import make_class
 from test.tiers import representative
 
 PACKAGE = Path(omniman_ros.__file__).parent
-LISTEN = "0A"
-"""State of a listening socket in /proc/net/tcp."""
+LISTEN = "0A"  #: State of a listening socket in /proc/net/tcp
+#: Modules that listen for a moment, to see whether a port is free
 PROBES = {"omniman_ros.processes.free_ports"}
-"""Modules that listen for a moment, to see whether a port is free."""
+#: What a module uses that opens a socket for others, by the library that it imports for it
 OPENERS = {"socket": {"bind", "listen"}, "viser": {"ViserServer"}, "can": {"Bus"}}
-"""What a module uses that opens a socket for others, by the library that it imports for it."""
+#: What is in the text of each of them; it spares the syntax trees of all others
 OPENING = re.compile(r"\bcreate_server\(|\.bind\(|ViserServer\)|\bcan\.Bus\(")
-"""What is in the text of each of them; it spares the syntax trees of all others."""
 CONNECTED = {"ur.host", "ur.dashboard_port", "ur.script_port", "ur.rtde_port"}
 CONNECTED |= {"simulated_arm.world_port", "simulated_bus_port"}
 """Parameters with addresses and ports that a node connects to."""
 SWITCHED_ON = {
     "simulated_can_drives": {"publish_clock": True},
     "simulated_world": {"arm_port": "free"},
-}
-"""Parameters with which the optional sockets of a node are opened."""
+}  #: Parameters with which the optional sockets of a node are opened
 ROWS_OF = {name: [row for row in LISTENING_SOCKETS if name in row.nodes] for name in NODES}
 FIRST = "simulated_can_drives"
+#: Nodes that are made here; a browser tests the page's server
 RUN = sorted(set(NODES) - {"viewer"}, key=lambda name: (name != FIRST, name))
-"""Nodes that are made here; a browser tests the page's server."""
 
 
 def opens(path):

@@ -23,10 +23,9 @@ from test.tiers import exhaustive
 SCENES = 60
 DRIFT = 0.05 / 60.0
 OBSTACLES = 3
-APART = 1.2
-"""Distance of all obstacles from start and goal [m], which jumps may make less."""
+APART = 1.2  #: Distance of all obstacles from start and goal [m], which jumps may make less
+#: Gap at the goal below which it counts as occupied [m]: safety.clearance by default
 CLEARANCE = 0.05
-"""Gap at the goal below which it counts as occupied [m]: safety.clearance by default."""
 
 
 @pytest.fixture(autouse=True, scope="module")

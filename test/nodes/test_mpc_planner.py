@@ -45,12 +45,10 @@ from test.work import calls
 NAN, INF = math.nan, math.inf
 FAR = (2.0, 0.0, 0.0)
 CYCLE = 0.05
-TICK = 0.01
-"""Time passes in such steps where the controller is a fake [s]."""
+TICK = 0.01  #: Time passes in such steps where the controller is a fake [s]
+#: Largest number of calls that a marker of a message costs, with those of two cycles
 MARKER_CALLS = 120
-"""Largest number of calls that a marker of a message costs, with those of two cycles."""
-LEAST = 0.02
-"""The parameter safety.least_clearance [m]."""
+LEAST = 0.02  #: The parameter safety.least_clearance [m]
 
 
 def goal(x: float, y: float, theta: float = 0.0, frame: str = "odom") -> PoseStamped:
@@ -1174,8 +1172,7 @@ def test_voltages_end_at_once_when_control_is_lost():
 
 # ---- maps -------------------------------------------------------------------------------------
 
-CELL = 0.05
-"""Of the maps here [m]."""
+CELL = 0.05  #: Of the maps here [m]
 
 
 def a_map(world: PlannerWorld, wall: bool = True, frame: str = "odom") -> OccupancyGrid:

@@ -299,8 +299,7 @@ def test_a_cloud_counts_between_two_heights():
         assert marker.pose.position.y == pytest.approx(0.65, abs=0.04)
 
 
-CORNER = 2.6
-"""Edge of a wall along the way, behind which somebody may be [m]."""
+CORNER = 2.6  #: Edge of a wall along the way, behind which somebody may be [m]
 
 
 def beside_a_corner(t, pose):

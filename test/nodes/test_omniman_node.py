@@ -17,8 +17,7 @@ from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED, MISSED, RELAY
 from test.nodes.harness import World
 
-ROS_TIME_LEAD = 1_000_000_000
-"""By how much ROS time is ahead of the steady clock [ns]."""
+ROS_TIME_LEAD = 1_000_000_000  #: By how much ROS time is ahead of the steady clock [ns]
 
 
 class HeldUp:

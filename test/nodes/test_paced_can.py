@@ -4,7 +4,7 @@ import can
 import pytest
 
 from omniman_ros.can_drives.bus import BusError
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes import paced_bus
 from omniman_ros.nodes.can_bridge import CanBridgeNode
@@ -14,10 +14,9 @@ from omniman_ros.nodes.simulated_can_drives import SimulatedCanDrivesNode
 from test.nodes.harness import World
 
 STEP = 0.005
-BOOTED = 1.3
-"""Simulated time at which the drives have booted [s]."""
-REQUEST = Frame(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
-ANSWER = Frame(0x581, b"\x43\x00\x10\x00\x92\x01\x02\x00")
+BOOTED = 1.3  #: Simulated time at which the drives have booted [s]
+REQUEST = CanFrame(0x601, b"\x40\x00\x10\x00\x00\x00\x00\x00")
+ANSWER = CanFrame(0x581, b"\x43\x00\x10\x00\x92\x01\x02\x00")
 
 
 class Drives:
@@ -55,7 +54,7 @@ class Drives:
         heard = self.link.receive()
         if heard:
             self.link.send([message(ANSWER) for _ in heard], self.time)
-        return [Frame(each.arbitration_id, bytes(each.data)) for each in heard]
+        return [CanFrame(each.arbitration_id, bytes(each.data)) for each in heard]
 
     @property
     def may_step(self):
@@ -96,9 +95,9 @@ def pair():
 def test_time_makes_a_step_when_the_bridge_is_done_with_the_last_one(pair):
     pair.bus.send(())
     assert pair.drives.may_step
-    pair.drives.step(Frame(0x701, b"\x05"))
+    pair.drives.step(CanFrame(0x701, b"\x05"))
     assert not pair.drives.may_step
-    assert list(pair.bus.take()) == [Frame(0x701, b"\x05")]
+    assert list(pair.bus.take()) == [CanFrame(0x701, b"\x05")]
     pair.time += STEP
     assert list(pair.bus.take()) == []
     assert not pair.drives.may_step
@@ -122,8 +121,8 @@ def test_an_answer_takes_no_time(pair):
 
 
 def test_frames_of_a_later_time_wait(pair):
-    pair.drives.step(Frame(0x181, b"\x01"))
-    pair.drives.step(Frame(0x181, b"\x02"))
+    pair.drives.step(CanFrame(0x181, b"\x01"))
+    pair.drives.step(CanFrame(0x181, b"\x02"))
     assert [frame.data for frame in pair.bus.take()] == [b"\x01"]
     pair.time += STEP
     assert [frame.data for frame in pair.bus.take()] == [b"\x02"]

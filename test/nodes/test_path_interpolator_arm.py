@@ -218,8 +218,8 @@ def test_a_trajectory_without_points_stops_on_the_path(world):
     world.trajectories.publish(JointTrajectory())
     assert world.run_to_arm_end() < 0.8
     _, x, v, _ = world.assert_arm_smooth()
-    share = (x - HOME)[:, [0, 1, 2, 3, 5]] / (FAR - HOME)[[0, 1, 2, 3, 5]]
-    assert 0.1 < share[-1].max() < 0.9 and np.ptp(share, axis=1).max() < 1e-9
+    fraction = (x - HOME)[:, [0, 1, 2, 3, 5]] / (FAR - HOME)[[0, 1, 2, 3, 5]]
+    assert 0.1 < fraction[-1].max() < 0.9 and np.ptp(fraction, axis=1).max() < 1e-9
     assert not v[-1].any()
     world.run(2 * PERIOD)
     before = len(world.joint_previews)
@@ -478,8 +478,7 @@ def test_the_arm_is_not_moved_while_another_node_moves_the_body(world):
 
 # ---- streams of single points -----------------------------------------------------------------
 
-WRIST = np.array([0.0, 0.0, 0.0, 0.3, 0.2, -0.3])
-"""Rate of the streams here [rad/s]."""
+WRIST = np.array([0.0, 0.0, 0.0, 0.3, 0.2, -0.3])  #: Rate of the streams here [rad/s]
 
 
 class Servo:

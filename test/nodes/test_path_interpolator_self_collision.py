@@ -11,8 +11,8 @@ from test.nodes.test_path_interpolator_arm import HOME
 from test.nodes.test_path_interpolator_tool import ToolWorld
 from test.nodes.test_path_interpolator_whole_body import BODY, trajectory
 
+#: Joint angles at which the forearm lies in the upper arm [rad]
 FOLDED = [0.0, -0.5 * math.pi, 2.9, 0.0, 0.0, 0.0]
-"""Joint angles at which the forearm lies in the upper arm [rad]."""
 
 
 @pytest.fixture

@@ -82,9 +82,9 @@ def test_platform_and_arm_move_and_arrive_together(world):
     assert x[-1] == pytest.approx(GOAL, abs=1e-6)
     world.assert_both_smooth()
     # On a straight line in nine axes, all axes have covered the same fraction at each instant.
-    share = (x - START)[:, MOVING] / DISPLACEMENT[MOVING]
-    assert np.ptp(share, axis=1).max() < 1e-3
-    assert np.diff(share[:, 0]).min() > -1e-9
+    fraction = (x - START)[:, MOVING] / DISPLACEMENT[MOVING]
+    assert np.ptp(fraction, axis=1).max() < 1e-3
+    assert np.diff(fraction[:, 0]).min() > -1e-9
 
 
 def test_both_previews_begin_at_the_same_instant(world):
@@ -155,8 +155,8 @@ def test_pause_and_resume_keep_both_on_the_path(world):
     assert world.call_service("pause").success
     world.run_until(lambda: world.body.state is PathState.PAUSED, 3.0, "the pause")
     here = world.received_axes()[1][-1]
-    share = (here - START)[MOVING] / DISPLACEMENT[MOVING]
-    assert 0.05 < share[0] < 0.95 and np.ptp(share) < 1e-3
+    fraction = (here - START)[MOVING] / DISPLACEMENT[MOVING]
+    assert 0.05 < fraction[0] < 0.95 and np.ptp(fraction) < 1e-3
     world.run(1.0)
     assert world.received_axes()[1][-1] == pytest.approx(here, abs=1e-9)
     assert world.call_service("resume").success

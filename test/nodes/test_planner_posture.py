@@ -12,7 +12,10 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, PostureSource
+from omniman_ros.nodes.planner_interfaces.sensor_interface import (
+    ArmConfigurationInterface,
+    ArmConfigurationSource,
+)
 from test.nodes.harness import World
 
 STRETCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -26,7 +29,7 @@ class Listener(OmnimanNode):
     def __init__(self, **options):
         super().__init__("mpc_planner", **options)
         self.settings = ParameterSet(self, MpcPlannerParameters)
-        self.posture = PostureInterface(self, self.settings)
+        self.posture = ArmConfigurationInterface(self, self.settings)
         self.settings.on_change(self.posture.configure)
 
 
@@ -78,14 +81,14 @@ def world():
 
 
 def test_the_posture_is_assumed_until_it_is_measured_and_kept_when_the_arm_falls_silent(world):
-    assert world.source is PostureSource.ASSUMED
+    assert world.source is ArmConfigurationSource.ASSUMED
     assert world.ahead == pytest.approx(0.5)
     world.send(STRETCHED)
-    assert world.source is PostureSource.MEASURED
+    assert world.source is ArmConfigurationSource.MEASURED
     assert world.ahead > 1.0
     assert not world.warnings
     world.run(0.6)
-    assert world.source is PostureSource.LAST_MEASURED
+    assert world.source is ArmConfigurationSource.LAST_MEASURED
     assert world.ahead > 1.0
     assert "no arm/joint_states" in world.warnings[-1]
 
@@ -95,7 +98,7 @@ def test_the_names_of_the_joints_may_be_in_any_order(world):
     q = np.array(REST)
     q[0] = math.pi  # behind
     world.send(q[order], [UR_JOINTS[k] for k in order])
-    assert world.source is PostureSource.MEASURED
+    assert world.source is ArmConfigurationSource.MEASURED
     assert world.ahead == pytest.approx(0.5, abs=0.01)
 
 
@@ -116,7 +119,7 @@ def test_states_that_cannot_be_used_change_nothing_and_do_not_count_as_fresh(wor
         world.send(q, names)
         assert world.ahead == before
     assert any(why in text for text in world.warnings)
-    assert world.source is PostureSource.LAST_MEASURED
+    assert world.source is ArmConfigurationSource.LAST_MEASURED
 
 
 def test_states_out_of_order_or_from_the_future_are_ignored(world):
@@ -159,10 +162,10 @@ def test_a_reference_that_cannot_be_used_changes_nothing(world):
 def test_a_robot_that_must_know_its_arm_waits_for_it():
     with PostureWorld(robot="omniman", **{"footprint.required": True}) as world:
         posture, now = world.node.posture, world.node.now
-        assert world.source is PostureSource.ASSUMED
+        assert world.source is ArmConfigurationSource.ASSUMED
         assert posture.silence_reason(now()) == "no arm/joint_states yet"
         world.send()
-        assert world.source is PostureSource.MEASURED
+        assert world.source is ArmConfigurationSource.MEASURED
         assert not posture.silence_reason(now())
         world.run(0.7)
         assert "are 0.7 s old" in posture.silence_reason(now())
@@ -171,7 +174,7 @@ def test_a_robot_that_must_know_its_arm_waits_for_it():
 def test_a_robot_without_an_arm_waits_for_none():
     with PostureWorld(robot="ig42", **{"footprint.required": True}) as world:
         world.send()
-        assert world.source is PostureSource.NO_ARM
+        assert world.source is ArmConfigurationSource.NO_ARM
         assert not world.node.posture.silence_reason(world.node.now())
         assert world.footprint.is_symmetric
 

@@ -13,8 +13,7 @@ from rclpy.qos import QoSProfile
 from omniman_ros.nodes.rclpy_compat import spin_for, subscribe_with_source_time
 from test.nodes.harness import free_domain
 
-TIMEOUT = 20.0
-"""Time for discovery and delivery [s]."""
+TIMEOUT = 20.0  #: Time for discovery and delivery [s]
 
 
 @pytest.mark.processes

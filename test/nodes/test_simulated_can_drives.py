@@ -15,8 +15,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.simulated_can_drives import SimulatedCanDrivesNode
 from test.nodes.harness import free_domain
 
-ARRIVAL = 5.0
-"""Time limit of a frame through the virtual bus and the receiver's thread [s]."""
+ARRIVAL = 5.0  #: Time limit of a frame through the virtual bus and the receiver's thread [s]
 
 
 class Rig:

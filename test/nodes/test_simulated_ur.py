@@ -12,7 +12,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.simulated_ur import SimulatedUrNode
 from omniman_ros.simulation.ur.arm import CYCLE
 from omniman_ros.simulation.ur.controller_server import ControllerServer
-from omniman_ros.simulation.ur.modes import RobotMode
+from omniman_ros.simulation.ur.modes import Cb3RobotMode
 from test.nodes.harness import free_domain
 
 FREE = {f"ports.{name}": 0 for name in ("dashboard", "primary", "secondary", "realtime", "rtde")}
@@ -181,7 +181,7 @@ def test_shutdown_brakes_the_arm_and_switches_the_power_off(make):
     assert not rig.node.finished
     rig.run(rig.node.stop_timeout)
     assert rig.node.finished
-    assert rig.node.controller.modes.robot is RobotMode.POWER_OFF
+    assert rig.node.controller.modes.robot is Cb3RobotMode.POWER_OFF
 
 
 @pytest.mark.parametrize(

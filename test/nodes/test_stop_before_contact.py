@@ -20,13 +20,11 @@ from test.nodes.test_path_interpolator_arm import trajectory
 from test.nodes.test_path_interpolator_tool import READY, tool_path
 from test.nodes.whole_robot import GAP, Judge, Post, Wall, WholeRobot
 
+#: Number of trials of each source
 TRIALS = {"previews": 80, "joint_trajectory": 80, "tool_path": 40}
-"""Number of trials of each source."""
 BODY = ["odom_x", "odom_y", "odom_t", *UR_JOINTS]
-CLEAR = 0.15
-"""Gap that a motion begins with, at least [m]."""
-REST = 0.02
-"""Speed at which the robot counts as standing [m/s, rad/s]."""
+CLEAR = 0.15  #: Gap that a motion begins with, at least [m]
+REST = 0.02  #: Speed at which the robot counts as standing [m/s, rad/s]
 LATENCY, DECELERATION = 0.3, 0.8
 """What is assumed of the robot where something appears before it [s, m/s^2]."""
 REACH, LEVERS = 1.3, np.array([0.95, 0.95, 0.55, 0.2, 0.1, 0.0])
@@ -59,7 +57,6 @@ def motion_into_something(rng, platform=0.0):
     """Return the start (9,) of a motion, its goal, and a thing that it leads into.
 
     Args:
-        rng: Source of the motion.
         platform: Largest travel of the platform along x and y, and about z [m, m, rad].
     """
     while True:

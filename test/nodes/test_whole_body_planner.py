@@ -16,16 +16,12 @@ from test.nodes.test_path_interpolator_tool import START, ToolWorld
 from test.nodes.whole_robot import Judge, Post
 from test.tiers import exhaustive
 
-AHEAD = [(0.3, 0.0, 0.0), (1.2, 0.0, 0.0)]
-"""A straight path of the tool."""
-SHORT = [(0.2, 0.0, 0.0), (0.2, 0.1, 0.0)]
-"""A path with a corner that is done soon."""
+AHEAD = [(0.3, 0.0, 0.0), (1.2, 0.0, 0.0)]  #: A straight path of the tool
+SHORT = [(0.2, 0.0, 0.0), (0.2, 0.1, 0.0)]  #: A path with a corner that is done soon
+#: A post where the platform would be in a fixed posture
 BESIDE = Post(1.0, -0.42, 0.1, (0.0, 1.2))
-"""A post where the platform would be in a fixed posture."""
-PASSING = Post(0.0, -0.5, 0.1, (0.0, 1.2))
-"""A post that comes to stand 5 cm beside the platform."""
-ON_PATH = Post(START[0, 3] + 0.9, START[1, 3], 0.1, (0.0, 1.5))
-"""A post on the path of the tool."""
+PASSING = Post(0.0, -0.5, 0.1, (0.0, 1.2))  #: A post that comes to stand 5 cm beside the platform
+ON_PATH = Post(START[0, 3] + 0.9, START[1, 3], 0.1, (0.0, 1.5))  #: A post on the path of the tool
 
 
 class DodgeWorld(ToolWorld):

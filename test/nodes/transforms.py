@@ -67,7 +67,6 @@ class Localisation:
 
     Args:
         world: World whose time it follows.
-        transforms: Publisher of its transforms.
         start: Pose of odom in map at first [m, m, rad].
         drift: Speed of the drift [m/s], in a direction that turns.
         jumps: Jumps by their times after the start: distance [m], direction [rad], turn [rad];

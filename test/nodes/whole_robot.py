@@ -28,12 +28,9 @@ from test.collision.reference import BOX, CYLINDER, EngineBody, Shape, descripti
 from test.nodes.harness import World
 from test.nodes.stepped_arm import SteppedArm
 
-GAP = 0.02
-"""Gap that must remain [m]."""
-CELL = 0.05
-"""Side of a cell of the map [m]."""
-REPORT_TICKS = 20
-"""Number of periods between two reports of the obstacles."""
+GAP = 0.02  #: Gap that must remain [m]
+CELL = 0.05  #: Side of a cell of the map [m]
+REPORT_TICKS = 20  #: Number of periods between two reports of the obstacles
 
 
 @dataclass(frozen=True)

@@ -25,14 +25,14 @@ def view_of(ranges, pose=(0.0, 0.0, 0.0), **changes):
         0.0, np.asarray(ranges), -math.pi, math.tau / BEAMS, 20.0, (0.0, 0.0, 0.0), **changes
     )
     beams = scan.hits
-    places = placed(scan.local_points(beams), np.tile(pose, (len(beams), 1)))
-    return View.of(scan, pose, beams, places, np.ones(len(beams), dtype=bool)), places
+    positions = placed(scan.local_points(beams), np.tile(pose, (len(beams), 1)))
+    return View.of(scan, pose, beams, positions, np.ones(len(beams), dtype=bool)), positions
 
 
 def enter(grid, ranges, times=1, pose=(0.0, 0.0, 0.0)):
     for _ in range(times):
-        view, places = view_of(ranges, pose)
-        grid.update(view, places, 10.0)
+        view, positions = view_of(ranges, pose)
+        grid.update(view, positions, 10.0)
 
 
 def occupancy(grid, x, y):
@@ -89,10 +89,10 @@ def test_what_the_map_knows_stays_where_it_is_when_the_map_moves(move):
     grid = LocalMap(SMALL)
     enter(grid, room_ranges(1.52), 5)
     assert grid.follow(np.array(move))
-    places = np.array([[1.52, 0.0], [0.0, 0.5], [-1.52, 0.4]])
-    inside = (np.abs(places - move) < 2.9).all(axis=1)
-    assert grid.stands(places).tolist() == (inside & [True, False, True]).tolist()
-    assert grid.was_free(places).tolist() == (inside & [False, True, False]).tolist()
+    positions = np.array([[1.52, 0.0], [0.0, 0.5], [-1.52, 0.4]])
+    inside = (np.abs(positions - move) < 2.9).all(axis=1)
+    assert grid.stands(positions).tolist() == (inside & [True, False, True]).tolist()
+    assert grid.was_free(positions).tolist() == (inside & [False, True, False]).tolist()
     assert np.abs(grid.origin + 3.0 - move).max() < 0.06
 
 

@@ -25,9 +25,13 @@ def ranges_of(discs, origin, heading, wall=4.5):
     ux, uy = np.cos(ANGLES + heading), np.sin(ANGLES + heading)
     x, y = np.asarray(origin).T
     found = np.where(ux > 1e-9, (wall - x) / np.where(ux > 1e-9, ux, 1.0), math.inf)
-    for place, radius in discs:
-        place = np.asarray(place)
-        ax, ay = (place.T - np.array([x, y])) if place.ndim == 2 else (place[0] - x, place[1] - y)
+    for position, radius in discs:
+        position = np.asarray(position)
+        ax, ay = (
+            (position.T - np.array([x, y]))
+            if position.ndim == 2
+            else (position[0] - x, position[1] - y)
+        )
         along, aside = ax * ux + ay * uy, ax * uy - ay * ux
         inside = radius**2 - aside**2
         hit = np.where(inside > 0.0, along - np.sqrt(np.maximum(inside, 0.0)), math.inf)
@@ -95,23 +99,25 @@ def test_velocity_and_place_are_right_half_a_second_after_the_first_sight(veloci
     stage = Stage()
     (seen,) = stage.run(0.6, line(2.2, -0.3, *velocity))
     assert np.hypot(*np.subtract(seen.velocity, velocity)) < 0.1
-    place = np.array([2.2, -0.3]) + stage.end * np.array(velocity)
-    assert np.hypot(*(np.array(seen.center) - place)) < 0.03
+    position = np.array([2.2, -0.3]) + stage.end * np.array(velocity)
+    assert np.hypot(*(np.array(seen.center) - position)) < 0.03
     assert seen.radius == pytest.approx(0.25, abs=0.03)
     assert seen.age == pytest.approx(0.55)
     assert seen.silence == 0.0
 
 
-POSTS = [(np.array(place), 0.1) for place in ((2.0, -0.5), (1.5, 1.5), (3.0, 2.5))]
+POSTS = [(np.array(position), 0.1) for position in ((2.0, -0.5), (1.5, 1.5), (3.0, 2.5))]
 
 
 def misplaced(tracker):
     """Largest distance of a standing cell from what truly stands [m]."""
     rows, columns = np.nonzero(tracker.map.log_odds >= 1.6)
-    places = tracker.map.origin + tracker.map.resolution * (np.column_stack((columns, rows)) + 0.5)
-    off = [np.abs(np.hypot(*(places - place).T) - radius) for place, radius in POSTS]
-    assert len(places) > 50
-    return float(np.min([*off, np.abs(places[:, 0] - 4.5)], axis=0).max())
+    positions = tracker.map.origin + tracker.map.resolution * (
+        np.column_stack((columns, rows)) + 0.5
+    )
+    off = [np.abs(np.hypot(*(positions - position).T) - radius) for position, radius in POSTS]
+    assert len(positions) > 50
+    return float(np.min([*off, np.abs(positions[:, 0] - 4.5)], axis=0).max())
 
 
 @pytest.mark.parametrize("sweep", [0.0, 0.04])

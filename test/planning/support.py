@@ -20,12 +20,9 @@ from omniman_ros.planning.plan_optimizer import SolverPool
 from omniman_ros.planning.planner import Planner
 from test import robots
 
-CYCLE = 0.05
-"""Period of the planner [s]."""
-SOLVING = 0.01
-"""How long an answer takes [s]."""
-TICK = 0.005
-"""Time between two samples of what the robot did [s]."""
+CYCLE = 0.05  #: Period of the planner [s]
+SOLVING = 0.01  #: How long an answer takes [s]
+TICK = 0.005  #: Time between two samples of what the robot did [s]
 
 
 def parameters(name: str = "ig42", **changes: Any) -> PlannerParameters:
@@ -113,8 +110,6 @@ class SimulatedRun:
     """A planner with a robot that follows the planned motion exactly.
 
     Args:
-        planner: The planner.
-        pose: Where the robot stands at first.
         seen: What the planner knows of obstacles at a time [s].
         wrapped: Whether odometry's heading is in (-pi, pi].
 

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goal_tracking import require_reachable
 from omniman_ros.planning.goals import PoseGoal
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.walls import Walls
@@ -34,14 +34,12 @@ AHEAD = Footprint(
         np.array([0]),
     ),
     margin=0.05,
-)
-"""An arm 0.8 m above the floor that ends 0.95 m ahead of base_link."""
+)  #: An arm 0.8 m above the floor that ends 0.95 m ahead of base_link
 POST = (0.0, 2.0)
 PALLET = (0.0, 0.2)
 LAMP = (1.0, 2.0)
 SHELF = (0.7, 0.75)
-STEP = 0.1
-"""Of the motions here, as of planned ones [s]."""
+STEP = 0.1  #: Of the motions here, as of planned ones [s]
 
 
 def things(*rows, heights, **more):
@@ -54,7 +52,7 @@ def straight_ahead(speed=0.4, seconds=3.0):
     times = np.linspace(0.0, seconds, round(seconds / STEP) + 1)
     poses, velocities = np.zeros((2, len(times), 3))
     poses[:, 0], velocities[:, 0] = speed * times, speed
-    return Motion(times, poses, velocities, np.zeros((len(times) - 1, 4)))
+    return HermiteTrajectory(times, poses, velocities, np.zeros((len(times) - 1, 4)))
 
 
 @pytest.mark.parametrize(
@@ -181,7 +179,7 @@ def test_of_two_motions_without_contact_the_one_in_the_workspace_is_better():
     out, gap = room.threat(straight_ahead(0.4), 0.0)
     assert out == math.inf
     assert inside - gap == pytest.approx(0.77, abs=0.01)
-    back = Motion(
+    back = HermiteTrajectory(
         np.array([0.0, 3.0]),
         np.array([[1.0, 0.0, 0.0], [-0.2, 0.0, 0.0]]),
         np.array([[-0.4, 0.0, 0.0]] * 2),

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.motion import BRAKING_STEP, Motion
+from omniman_ros.planning.motion import BRAKING_STEP, HermiteTrajectory
 
 DECELERATION = (1.5, 4.0)
 
@@ -16,7 +16,7 @@ def a_motion(seed=0, count=9, step=0.1, start=5.0, wheels=4):
         velocities[k + 1] = velocities[k] + step * a
         poses[k + 1] = poses[k] + step * velocities[k] + 0.5 * step**2 * a
     times = start + step * np.arange(count)
-    return Motion(times, poses, velocities, random.uniform(-5, 5, (count - 1, wheels)))
+    return HermiteTrajectory(times, poses, velocities, random.uniform(-5, 5, (count - 1, wheels)))
 
 
 def dense(motion, first=None, last=None, count=2001):
@@ -51,7 +51,7 @@ def test_motion_meets_its_nodes_and_constant_acceleration_between_them():
 
 def test_velocity_is_the_derivative_of_the_pose():
     motion = a_motion(1)
-    bent = Motion(motion.times, motion.poses, 1.3 * motion.velocities, motion.currents)
+    bent = HermiteTrajectory(motion.times, motion.poses, 1.3 * motion.velocities, motion.currents)
     times = np.linspace(motion.start + 1e-3, motion.end - 1e-3, 37)
     tiny = 1e-6
     slopes = (bent.at(times + tiny)[0] - bent.at(times - tiny)[0]) / (2 * tiny)
@@ -76,7 +76,7 @@ def test_currents_are_constant_between_nodes():
 
 def test_states_are_transformed_to_odom():
     states = np.array([[1.0, 2.0, 0.5, 0.6, -0.2, 0.3], [1.1, 2.1, np.pi / 2, 0.5, 0.1, 0.0]])
-    motion = Motion.of_states(3.0, 0.1, states, np.zeros((1, 4)))
+    motion = HermiteTrajectory.of_states(3.0, 0.1, states, np.zeros((1, 4)))
     np.testing.assert_allclose(motion.times, [3.0, 3.1])
     np.testing.assert_allclose(motion.poses, states[:, :3])
     np.testing.assert_allclose(motion.velocities[1], [-0.1, 0.5, 0.0], atol=1e-12)
@@ -120,7 +120,9 @@ def test_braking_keeps_the_deceleration_and_ends_at_rest(seed):
 def test_braking_is_bounded_from_any_velocity(velocity):
     v = np.array(velocity, float)
     times = np.array([0.0, 0.1])
-    motion = Motion(times, np.array([0 * v, 0.1 * v]), np.tile(v, (2, 1)), np.zeros((1, 4)))
+    motion = HermiteTrajectory(
+        times, np.array([0 * v, 0.1 * v]), np.tile(v, (2, 1)), np.zeros((1, 4))
+    )
     braked = motion.braked(0.1, DECELERATION)
     assert (np.diff(braked.times) > 0).all()
     assert len(braked.poses) == len(braked.velocities) == len(braked.times)

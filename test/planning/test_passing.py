@@ -47,8 +47,8 @@ def test_passing_time_behind_a_wall_follows_the_route():
 
 def test_passing_time_grows_with_a_smaller_limit_scale():
     times = [
-        passing.run_up(state(), a_goal(1.0), EffectiveLimits(P, share))
-        for share in (1.0, 0.5, 0.25)
+        passing.run_up(state(), a_goal(1.0), EffectiveLimits(P, fraction))
+        for fraction in (1.0, 0.5, 0.25)
     ]
     assert times == sorted(times) and times[0] < times[-1]
 

@@ -573,19 +573,19 @@ def test_clearance_can_change_while_driving():
     assert closest[0] < 0.2 and closest[1] > 0.27
 
 
-@pytest.mark.parametrize("share", [exhaustive(0.7), 0.4])
-def test_reduced_limit_scale_is_reached_and_never_exceeded(share):
+@pytest.mark.parametrize("fraction", [exhaustive(0.7), 0.4])
+def test_reduced_limit_scale_is_reached_and_never_exceeded(fraction):
     sim = SimulatedRun(planner())
     sim.drive(pose(6.0, 2.0, 0.0))
     sim.run(1.5)
     fast = speeds(sim)[-1, 0]
-    sim.planner.set_limit_scale(share)
-    assert sim.planner.limits.limit_scale == share
+    sim.planner.set_limit_scale(fraction)
+    assert sim.planner.limits.limit_scale == fraction
     begin = len(sim.poses)
     sim.run(4.0)
     slowed = speeds(sim)[begin:, 0]
     assert slowed.max() < fast + 0.01
-    assert slowed[-1] < 0.95 * share
+    assert slowed[-1] < 0.95 * fraction
     sim.planner.set_limit_scale(1.0)
     sim.run(2.0)
     assert speeds(sim)[-400:, 0].max() > slowed[-1] + 0.05
@@ -661,10 +661,8 @@ def test_where_braking_soon_is_not_clear_the_whole_motion_is_sent():
 
 # ---- walls and routes around ------------------------------------------------------------------
 
-CELL = 0.05
-"""Of the maps of these tests [m]."""
-CORNER = np.array([-1.0, -1.5, 0.0])
-"""Where their first cell is."""
+CELL = 0.05  #: Of the maps of these tests [m]
+CORNER = np.array([-1.0, -1.5, 0.0])  #: Where their first cell is
 
 
 def floor_plan(*boxes, size=(5.0, 3.0)):
@@ -784,7 +782,7 @@ def test_a_robot_amid_occupied_cells_leaves_by_the_free_side_and_reaches_the_goa
     sim.planner.set_map(half_plane())
     sim.drive(pose(1.5, 0.0, 0.0))
     sim.run(0.3, until=never)
-    assert sim.planner.route_planner.source is RouteSource.WAY_OUT
+    assert sim.planner.route_planner.source is RouteSource.ESCAPE_PATH
     assert sim.planner.state is PlannerState.DRIVING
     sim.run(10.0)
     assert sim.planner.state is PlannerState.ARRIVED and PlannerState.BLOCKED not in sim.states

@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.obstacles.separation import outside_by
 from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
 from test.planning.support import ellipses, true_gaps
@@ -33,7 +33,9 @@ def a_motion(random, count=21, step=0.1):
     for k in range(count - 1):
         velocities[k + 1] = velocities[k] + step * acceleration[k]
         poses[k + 1] = poses[k] + step * velocities[k] + 0.5 * step**2 * acceleration[k]
-    return Motion(NOW + step * np.arange(count), poses, velocities, np.zeros((count - 1, 4)))
+    return HermiteTrajectory(
+        NOW + step * np.arange(count), poses, velocities, np.zeros((count - 1, 4))
+    )
 
 
 def a_line(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
@@ -41,7 +43,7 @@ def a_line(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
     times = np.arange(0.0, seconds + 1e-9, 0.1)
     poses = np.array(start) + times[:, None] * np.array(velocity, float)
     velocities = np.tile(np.array(velocity, float), (len(times), 1))
-    return Motion(NOW + times, poses, velocities, np.zeros((len(times) - 1, 4)))
+    return HermiteTrajectory(NOW + times, poses, velocities, np.zeros((len(times) - 1, 4)))
 
 
 def some_obstacles(random, count=6):
@@ -107,7 +109,9 @@ def test_corner_that_rotates_into_an_obstacle_is_found():
     # The box is clear at both ends of a quarter turn, but its corner is not in between.
     times = np.array([0.0, 1.0])
     turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * math.pi]])
-    motion = Motion(NOW + times, turn, np.tile([0, 0, 0.5 * math.pi], (2, 1)), np.zeros((1, 4)))
+    motion = HermiteTrajectory(
+        NOW + times, turn, np.tile([0, 0, 0.5 * math.pi], (2, 1)), np.zeros((1, 4))
+    )
     corner = np.hypot(*HALF) * np.sqrt(0.5)
     known = ellipses((corner + 0.02, corner + 0.02, 0.05))
     assert true_gaps(times, turn, HALF, known).min() > 0.05
@@ -140,7 +144,7 @@ def test_input_that_is_not_finite_is_a_contact():
     motion = a_line(0.5, 0.0, 0.0)
     poses = motion.poses.copy()
     poses[5, 1] = math.nan
-    broken = Motion(motion.times, poses, motion.velocities, motion.currents)
+    broken = HermiteTrajectory(motion.times, poses, motion.velocities, motion.currents)
     assert around().contact(broken, NOW) <= NOW + 0.5
     unknown = ellipses((math.nan, 0.0, 0.2), (5.0, 5.0, 0.2))
     assert around(unknown).contact(motion, NOW) < math.inf
@@ -148,7 +152,7 @@ def test_input_that_is_not_finite_is_a_contact():
 
 @pytest.mark.parametrize("until", [-math.inf, NOW + 4.0])
 def test_approaching_obstacle_hits_a_robot_at_rest(until):
-    motion = Motion.rest(NOW - 1.0, np.zeros(3), 4)
+    motion = HermiteTrajectory.rest(NOW - 1.0, np.zeros(3), 4)
     known = ellipses((2.7, 0.0, 0.3), time=NOW, velocities=[(-1.0, 0.0)])
     stands = Surroundings(Footprint(Rectangles.centred(HALF)), known, WIDE, 0.0, until)
     contact = stands.contact(motion, NOW)
@@ -162,7 +166,7 @@ def test_robot_too_close_may_leave_but_not_come_closer():
     for x in (0.71, 0.6, 0.45):  # clear by 1 cm, or inside
         known = ellipses((x, 0.0, 0.3))
         assert around(known).contact(a_line(-0.5, 0.0, 0.0), NOW) == math.inf
-        stays = Motion.rest(NOW, np.zeros(3), 4)
+        stays = HermiteTrajectory.rest(NOW, np.zeros(3), 4)
         assert around(known).contact(stays, NOW) == math.inf
         closer = a_line(0.2, 0.0, 0.0, seconds=0.5)
         assert around(known).contact(closer, NOW) <= NOW + 0.2

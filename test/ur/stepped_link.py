@@ -3,7 +3,7 @@
 from collections import deque
 
 from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.controller_server import launcher
 from omniman_ros.ur.feedback import ArmSample
 from omniman_ros.ur.program_link import ProgramState
@@ -40,14 +40,13 @@ class SteppedLink:
     Args:
         now: Time of the beginning [s].
         make_body: Makes the joints from their parameters.
-        arm: Parameters of the simulated arm.
     """
 
     def __init__(self, now, make_body=SimulatedArm, **arm):
         self.now = now
         self.pipe = Pipe()
         parameters = UrArmParameters(**arm)
-        self.controller = Controller(parameters, make_body(parameters), launcher(self.pipe))
+        self.controller = Cb3Controller(parameters, make_body(parameters), launcher(self.pipe))
         self.parameters = None
         self.address = ("10.0.0.2", 50001)
         self.blocking_reason, self.program_loss_reason = "", CLOSED

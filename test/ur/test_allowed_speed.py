@@ -39,17 +39,17 @@ def test_a_share_below_the_speed_that_is_used_applies_after_the_reaction_time():
 
 
 def test_a_source_that_slows_down_within_the_reaction_time_is_never_too_fast():
-    allowed, share = AllowedSpeed(), 1.0
-    shares = []
+    allowed, fraction = AllowedSpeed(), 1.0
+    fractions = []
     for _ in range(300):
-        shares.append(share)
-        allowed.target = share
-        late = shares[max(0, len(shares) - 1 - round(REACTION_TIME / DT))]
+        fractions.append(fraction)
+        allowed.target = fraction
+        late = fractions[max(0, len(fractions) - 1 - round(REACTION_TIME / DT))]
         velocity = np.array([3.0 * late, 0.0])
         allowed.step(velocity, LIMITS, DT)
         assert not allowed.is_exceeded(velocity, LIMITS)
-        share *= 1.0 - DT
-    assert share < 0.1
+        fraction *= 1.0 - DT
+    assert fraction < 0.1
 
 
 def test_a_share_that_rises_applies_at_once():

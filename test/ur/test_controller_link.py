@@ -23,8 +23,7 @@ DIALOGUE = [
 ANSWERS = b"".join(answer for _, answer in DIALOGUE)
 PROGRAM = "def p():\n  sleep(1)\nend\n"
 SETPOINT = bytes(range(32))
-SEVERAL = 20
-"""Number of turns that suffice for any pending event to happen."""
+SEVERAL = 20  #: Number of turns that suffice for any pending event to happen
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import pytest
 from omniman_ros.ur.rtde_packets import (
     HEADER,
     MAX_PACKET_SIZE,
-    Packet,
     PacketReader,
     PacketType,
     ProtocolError,
     Recipe,
+    RtdePacket,
     accepted,
     pack,
     request_version,
@@ -50,12 +50,12 @@ def test_other_answers_are_rejected(payload):
 
 
 STREAM = [
-    Packet(PacketType.PROTOCOL_VERSION, b"\x01"),
-    Packet(PacketType.SETUP_OUTPUTS, b"\x01" + TYPES),
-    Packet(PacketType.START, b"\x01"),
-    Packet(PacketType.DATA, b"\x01" + bytes(64)),
-    Packet(PacketType.DATA, b"\x01" + bytes(range(64))),
-    Packet(200, b""),
+    RtdePacket(PacketType.PROTOCOL_VERSION, b"\x01"),
+    RtdePacket(PacketType.SETUP_OUTPUTS, b"\x01" + TYPES),
+    RtdePacket(PacketType.START, b"\x01"),
+    RtdePacket(PacketType.DATA, b"\x01" + bytes(64)),
+    RtdePacket(PacketType.DATA, b"\x01" + bytes(range(64))),
+    RtdePacket(200, b""),
 ]
 BYTES = b"".join(HEADER.pack(3 + len(p.payload), p.kind) + p.payload for p in STREAM)
 

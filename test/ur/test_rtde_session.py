@@ -10,7 +10,7 @@ import pytest
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.ur.feedback import RuntimeState
 from omniman_ros.ur.rtde_packets import ProtocolError
-from omniman_ros.ur.rtde_session import MAX_KEPT, RtdeSession, SessionPhase
+from omniman_ros.ur.rtde_session import MAX_UNREAD_SAMPLES, RtdeSession, SessionPhase
 from test.ur import peer
 
 NOW = 50.0
@@ -325,10 +325,12 @@ def test_speed_is_zero_while_the_program_is_paused_or_resumes(state):
 
 
 def test_unread_samples_and_texts_are_bounded():
-    session = running(*(peer.data(0.008 * k) + peer.text(b"x") for k in range(MAX_KEPT + 10)))
+    session = running(
+        *(peer.data(0.008 * k) + peer.text(b"x") for k in range(MAX_UNREAD_SAMPLES + 10))
+    )
     samples = session.take_samples()
-    assert len(samples) == len(session.take_texts()) == MAX_KEPT
-    assert samples[-1].timestamp == 0.008 * (MAX_KEPT + 9)
+    assert len(samples) == len(session.take_texts()) == MAX_UNREAD_SAMPLES
+    assert samples[-1].timestamp == 0.008 * (MAX_UNREAD_SAMPLES + 9)
 
 
 # ---- noise ------------------------------------------------------------------------------------

@@ -345,8 +345,7 @@ SEQUENCES = (
         min_size=1,
         max_size=6,
     ),
-)
-"""Amplitude [rad], frequency [rad/s], length [s] and period of previews, and the events."""
+)  #: Amplitude [rad], frequency [rad/s], length [s] and period of previews, and the events
 
 
 @settings(max_examples=20, deadline=None, derandomize=True)

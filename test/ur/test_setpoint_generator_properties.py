@@ -17,10 +17,8 @@ from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
 ARM = ArmParameters()
 UPPER = np.array(ARM.each("upper"))
 VELOCITY, ACCELERATION = ARM.velocity[0], ARM.acceleration[0]
-ROUNDING = 1e-6
-"""Resolution of a transmitted angle [rad]."""
-LAGS = 5
-"""Number of cycles by which the simulated arm lags its setpoints."""
+ROUNDING = 1e-6  #: Resolution of a transmitted angle [rad]
+LAGS = 5  #: Number of cycles by which the simulated arm lags its setpoints
 SEEDS = range(12)
 CYCLES = 500
 

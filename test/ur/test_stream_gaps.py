@@ -8,7 +8,7 @@ import pytest
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
-from omniman_ros.simulation.ur.modes import RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.modes import Cb3RuntimeState, Cb3SafetyMode
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.parameters import UrParameters
@@ -26,23 +26,21 @@ ARM = ArmParameters()
 FASTEST, HARDEST = ARM.velocity[0], ARM.acceleration[0]
 """Limits of speed [rad/s] and acceleration [rad/s^2] of each joint."""
 OMEGA = HARDEST / FASTEST
+#: Angular frequency [rad/s] and amplitude [rad] of a swing close to both limits
 AMPLITUDE = 0.85 * FASTEST / OMEGA
-"""Angular frequency [rad/s] and amplitude [rad] of a swing close to both limits."""
-SWELLING_TIME = 3.0
-"""Time after which the swing has its full amplitude [s]."""
-SPEED = 2.0
-"""Speed of the motion during which the controller is held up [rad/s]."""
+SWELLING_TIME = 3.0  #: Time after which the swing has its full amplitude [s]
+SPEED = 2.0  #: Speed of the motion during which the controller is held up [rad/s]
 
 
 class World(SteppedLink):
     """Supervisor and controller in step; the supervisor alone can be held up.
 
     Args:
-        share: Share of the limits of speed and acceleration that a swing uses, over 0.85.
+        fraction: Share of the limits of speed and acceleration that a swing uses, over 0.85.
     """
 
-    def __init__(self, share=1.0):
-        self.amplitude = share * AMPLITUDE
+    def __init__(self, fraction=1.0):
+        self.amplitude = fraction * AMPLITUDE
         super().__init__(T0, initial=HOME)
         parameters = UrParameters(read_timeout=READ_TIMEOUT, feedback_timeout=0.5)
         self.streamer = StreamingSupervisor(self, ARM, parameters)
@@ -92,8 +90,7 @@ def accelerations(world):
     return np.diff(np.array(world.speeds), axis=0) / CYCLE
 
 
-BEGINS = (3.1, 4.1, 3.6, 4.6)
-"""Times of the swing at which a gap begins [s]."""
+BEGINS = (3.1, 4.1, 3.6, 4.6)  #: Times of the swing at which a gap begins [s]
 
 
 @pytest.mark.parametrize(("missed", "begin"), combinations([1, 8, 2, 4], BEGINS))
@@ -101,19 +98,19 @@ def test_arm_keeps_its_limits_when_it_catches_up_after_a_gap(missed, begin):
     world = World()
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
     assert not world.streamer.stop_reason
-    assert world.controller.runtime == RuntimeState.PLAYING
+    assert world.controller.runtime == Cb3RuntimeState.PLAYING
     assert np.abs(world.speeds).max() < FASTEST
     assert np.abs(accelerations(world)).max() < HARDEST
 
 
 @pytest.mark.parametrize(("gap", "begin"), combinations([(12, 0.6), (23, 0.4)], BEGINS))
 def test_arm_goes_on_within_its_limits_after_a_long_gap(gap, begin):
-    missed, share = gap
-    world = World(share)
+    missed, fraction = gap
+    world = World(fraction)
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
     assert not world.streamer.stop_reason
     assert not world.streamer.take_refusals()
-    assert world.controller.runtime == RuntimeState.PLAYING
+    assert world.controller.runtime == Cb3RuntimeState.PLAYING
     assert np.abs(world.speeds).max() < FASTEST
     assert np.abs(accelerations(world)).max() < HARDEST
 
@@ -122,8 +119,8 @@ def test_arm_goes_on_within_its_limits_after_a_long_gap(gap, begin):
 def test_arm_that_cannot_catch_up_after_a_long_gap_comes_to_rest_without_a_stop(missed, begin):
     world = World()
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
-    assert world.controller.safety_mode == SafetyMode.NORMAL
-    assert world.controller.runtime == RuntimeState.PLAYING
+    assert world.controller.safety_mode == Cb3SafetyMode.NORMAL
+    assert world.controller.runtime == Cb3RuntimeState.PLAYING
     assert np.abs(world.speeds).max() < FASTEST
     assert not world.streamer.stop_reason
     if world.streamer.take_refusals():
@@ -168,7 +165,7 @@ def test_simulated_controller_that_was_held_up_moves_the_arm_evenly(missed):
         for _ in range(10):
             send(1)
             cycle()
-    assert server.controller.safety_mode == SafetyMode.NORMAL
+    assert server.controller.safety_mode == Cb3SafetyMode.NORMAL
     assert np.array(speeds[120:]) == pytest.approx(SPEED, abs=0.1)
     assert arm.q == pytest.approx(place, abs=0.15)
     server.close()

@@ -15,7 +15,7 @@ from omniman_ros.ur.streaming_loop import (
     GivenClock,
     StreamingLoop,
 )
-from omniman_ros.ur.streaming_messages import Command, CommandMessage, StreamingPhase
+from omniman_ros.ur.streaming_messages import CommandMessage, StreamingCommand, StreamingPhase
 from test.ur.test_streaming_supervisor import HOME, PlayedLink
 
 T0 = 200.0
@@ -125,7 +125,7 @@ class Rig:
     def cycle(self, count=1, lives=True):
         for _ in range(count):
             if lives:
-                self.send(Command.KEEP_ALIVE)
+                self.send(StreamingCommand.KEEP_ALIVE)
             self.loop.cycle()
 
     def preview(self, seconds=4.0, speed=0.3):
@@ -136,7 +136,7 @@ class Rig:
         rate = speed * np.minimum(2.0 * times, 1.0)
         whole = np.ones((1, 6))
         self.send(
-            Command.PREVIEW,
+            StreamingCommand.PREVIEW,
             self.link.now + times,
             self.link.position + way[:, None] * whole,
             rate[:, None] * whole,
@@ -156,7 +156,7 @@ class Rig:
 @pytest.fixture
 def rig():
     made = Rig()
-    made.send(Command.START)
+    made.send(StreamingCommand.START)
     made.cycle(3)
     assert made.report.phase is StreamingPhase.STREAMING
     return made
@@ -236,17 +236,17 @@ def test_punctuality_is_reported_in_blocks(rig):
 
 
 def test_report_identifies_the_reset_before(rig):
-    rig.send(Command.STOP, "by hand")
+    rig.send(StreamingCommand.STOP, "by hand")
     rig.cycle(3)
     assert (rig.report.stop_reason, rig.report.resets) == ("by hand", 0)
-    rig.send(Command.RESET, 7)
+    rig.send(StreamingCommand.RESET, 7)
     rig.cycle(3)
     assert (rig.report.stop_reason, rig.report.resets) == ("", 7)
 
 
 def test_parameters_apply_at_runtime(rig):
     moving(rig)
-    rig.send(Command.CONFIGURE, ArmParameters(velocity=(0.1,)), UrParameters())
+    rig.send(StreamingCommand.CONFIGURE, ArmParameters(velocity=(0.1,)), UrParameters())
     rig.cycle(2)
     assert "velocity" in rig.report.stop_reason
 
@@ -288,7 +288,7 @@ def test_process_without_its_node_brings_the_arm_to_rest_and_ends(rig):
 
 def test_shutdown_that_takes_too_long_still_ends(rig):
     moving(rig)
-    rig.send(Command.CONFIGURE, ArmParameters(acceleration=(0.011,)), UrParameters())
+    rig.send(StreamingCommand.CONFIGURE, ArmParameters(acceleration=(0.011,)), UrParameters())
     rig.cycle()
     rig.channel.gone = True
     begin = rig.link.now
@@ -316,7 +316,7 @@ class SimulatedRig(Rig):
         return []
 
     def pass_time(self, now):
-        self.send(Command.TIME, now)
+        self.send(StreamingCommand.TIME, now)
         self.loop.cycle()
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.ur.parameters import UrParameters
-from omniman_ros.ur.streaming_messages import Command, StreamingPhase
+from omniman_ros.ur.streaming_messages import StreamingCommand, StreamingPhase
 from omniman_ros.ur.streaming_process import StreamingProcess
 
 pytestmark = pytest.mark.processes  # checks real time
@@ -61,7 +61,7 @@ def test_signals_to_the_node_do_not_reach_the_process(process):
     until(process, lambda: process.report.blocking_reason == "connection refused")
     for number in (signal.SIGINT, signal.SIGTERM):
         os.kill(process._process.pid, number)
-    process.send(Command.STOP, "still there")
+    process.send(StreamingCommand.STOP, "still there")
     until(process, lambda: process.report.stop_reason == "still there")
     assert os.getsid(process._process.pid) == process._process.pid, (
         "Ctrl-C does not reach the process"
@@ -73,7 +73,7 @@ def test_killed_process_is_reported_and_gets_no_messages(process):
     process._process.kill()
     until(process, lambda: process.failure)
     assert process.failure == "the streaming process has ended"
-    process.send(Command.FINISH)
+    process.send(StreamingCommand.FINISH)
     assert process.failure == "the streaming process has ended"
 
 

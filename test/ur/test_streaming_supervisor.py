@@ -50,8 +50,7 @@ class PlayedLink:
         return True
 
 
-NAMED = 4
-"""Number of periods after which the reason of a loss is determined."""
+NAMED = 4  #: Number of periods after which the reason of a loss is determined
 
 
 class Rig:

@@ -12,14 +12,11 @@ from omniman_ros.conversions.headers import time_seconds
 from test.running import PATIENCE
 from test.viewer.screen import of_client
 
-AT_REST = 0.005
-"""Sum of speed and yaw rate below which the robot counts as standing [m/s, rad/s]."""
+AT_REST = 0.005  #: Sum of speed and yaw rate below which the robot counts as standing [m/s, rad/s]
+#: Time for which it must stand to be at rest [s]: where it reverses, it stands for a moment
 REST_TIME = 0.3
-"""Time for which it must stand to be at rest [s]: where it reverses, it stands for a moment."""
-STEPS = 6
-"""Number of steps of the mouse in a drag."""
-FRAME = 100
-"""Time for a page to draw a frame [ms]."""
+STEPS = 6  #: Number of steps of the mouse in a drag
+FRAME = 100  #: Time for a page to draw a frame [ms]
 
 
 class Robot:
@@ -131,6 +128,8 @@ def _pose(pose):
     return pose.position.x, pose.position.y, yaw_from_quaternion(pose.orientation)
 
 
+#: Draws ten frames a second: without a graphics card, a browser that draws as fast as it can
+#: leaves no processor to the robot that it shows, nor to its own events.
 FRAMES = """
 {
   const slow = (callback) => setTimeout(() => callback(performance.now()), 100);
@@ -138,8 +137,6 @@ FRAMES = """
   window.cancelAnimationFrame = clearTimeout;
 }
 """
-"""Draws ten frames a second: without a graphics card, a browser that draws as fast as it can
-leaves no processor to the robot that it shows, nor to its own events."""
 
 
 def draw_slowly(page):

@@ -41,10 +41,10 @@ def of_client(camera, point, width, height):
 
 def first_camera(robot):
     """Return the initial camera of a browser; the robot is at the origin."""
-    from omniman_ros.viewer.page.scene import Scene
+    from omniman_ros.viewer.page.scene import PageScene
 
     server = MagicMock()
-    Scene(server, robot, None, lambda event: None)
+    PageScene(server, robot, None, lambda event: None)
     camera = server.initial_camera
     return SimpleNamespace(
         position=np.array(camera.position),

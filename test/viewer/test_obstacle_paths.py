@@ -13,7 +13,7 @@ from omniman_ros.viewer.obstacle_paths import (
     MAX_WAYPOINTS,
     MIN_SPEED,
     AtEnd,
-    Motion,
+    PathKind,
     WaypointPath,
     converted,
     drawn_course,
@@ -43,8 +43,8 @@ def any_path(seed, at_end):
 def test_way_points_are_passed_at_the_speed_in_their_order(at_end, places):
     for speed in (0.5, 1.0, 2.0):
         path = WaypointPath(CORNER, speed, at_end)
-        for arc_length, place in places.items():
-            assert path(arc_length / speed) == pytest.approx(place, abs=1e-9)
+        for arc_length, position in places.items():
+            assert path(arc_length / speed) == pytest.approx(position, abs=1e-9)
 
 
 @pytest.mark.parametrize("at_end", AtEnd)
@@ -92,9 +92,9 @@ def test_the_position_never_jumps(seed, at_end):
 def test_the_nearest_time_of_a_position_on_the_path_leads_there(seed, at_end):
     path = any_path(seed, at_end)
     for time in np.random.default_rng(seed).uniform(0.0, 40.0, 20):
-        place = path(time)
-        nearest = path.time_nearest(tuple(place))
-        assert nearest >= 0.0 and path(nearest) == pytest.approx(place, abs=1e-9)
+        position = path(time)
+        nearest = path.time_nearest(tuple(position))
+        assert nearest >= 0.0 and path(nearest) == pytest.approx(position, abs=1e-9)
 
 
 def test_the_nearest_time_of_a_position_beside_the_path_leads_to_its_foot():
@@ -147,50 +147,50 @@ def test_a_moved_path_keeps_its_shape():
 
 
 PATHS = {
-    Motion.STRAIGHT: TwoVelocityPath((1.0, 0.0), (0.3, 0.4)),
-    Motion.ONE_TURN: TwoVelocityPath((1.0, 0.0), (0.3, 0.4), 2.0, (-0.4, 0.3)),
-    Motion.WAYPOINTS: WaypointPath(((1.0, 0.0), (4.0, 4.0)), 0.5),
+    PathKind.STRAIGHT: TwoVelocityPath((1.0, 0.0), (0.3, 0.4)),
+    PathKind.ONE_TURN: TwoVelocityPath((1.0, 0.0), (0.3, 0.4), 2.0, (-0.4, 0.3)),
+    PathKind.WAYPOINTS: WaypointPath(((1.0, 0.0), (4.0, 4.0)), 0.5),
 }
 
 
-@pytest.mark.parametrize("wanted", Motion)
-@pytest.mark.parametrize("before", Motion)
+@pytest.mark.parametrize("wanted", PathKind)
+@pytest.mark.parametrize("before", PathKind)
 def test_a_path_becomes_one_of_the_wanted_kind_with_the_same_velocity(before, wanted):
     home = PATHS[before]
     assert motion(home) is before
-    place = tuple(home(1.0).tolist())
-    path = converted(home, place, velocity(home, 1.0), wanted)
+    position = tuple(home(1.0).tolist())
+    path = converted(home, position, velocity(home, 1.0), wanted)
     assert motion(path) is wanted
     if before is wanted:
         assert path is home
-    elif wanted is Motion.WAYPOINTS:
-        assert path.points == (place,) and path.speed == pytest.approx(0.5)
+    elif wanted is PathKind.WAYPOINTS:
+        assert path.points == (position,) and path.speed == pytest.approx(0.5)
     else:
-        assert path.place == home.place
+        assert path.position == home.position
         assert velocity(path, 0.0) == pytest.approx((0.3, 0.4))
-    if wanted is Motion.ONE_TURN and before is not wanted:
+    if wanted is PathKind.ONE_TURN and before is not wanted:
         assert path.then == pytest.approx((-0.4, 0.3)), "to the left by 90 degrees"
 
 
 def test_a_standing_obstacle_follows_way_points_at_the_default_speed():
-    path = converted(TwoVelocityPath((1.0, 0.0)), (1.0, 0.0), (0.0, 0.0), Motion.WAYPOINTS)
+    path = converted(TwoVelocityPath((1.0, 0.0)), (1.0, 0.0), (0.0, 0.0), PathKind.WAYPOINTS)
     assert path.speed == DEFAULT_SPEED
 
 
 @pytest.mark.parametrize("speed", [0.01, 5.0])
 def test_the_speed_on_way_points_is_kept_within_its_range(speed):
     home = TwoVelocityPath((1.0, 0.0), (speed, 0.0))
-    path = converted(home, (1.0, 0.0), (speed, 0.0), Motion.WAYPOINTS)
+    path = converted(home, (1.0, 0.0), (speed, 0.0), PathKind.WAYPOINTS)
     assert path.speed == min(max(speed, MIN_SPEED), MAX_SPEED)
 
 
 def test_the_obstacle_of_mpc_2021_that_changes_its_velocity_makes_one_turn():
-    assert [motion(path) for path in CASES["moving"].ways].count(Motion.ONE_TURN) == 1
+    assert [motion(path) for path in CASES["moving"].paths].count(PathKind.ONE_TURN) == 1
 
 
 def test_turns_and_way_points_are_drawn_and_straight_paths_are_not():
-    assert drawn_course(PATHS[Motion.STRAIGHT]).shape == (0, 2)
-    turn = PATHS[Motion.ONE_TURN]
+    assert drawn_course(PATHS[PathKind.STRAIGHT]).shape == (0, 2)
+    turn = PATHS[PathKind.ONE_TURN]
     assert drawn_course(turn) == pytest.approx(np.array([turn(0.0), turn(2.0), turn(4.0)]))
     closed = np.array([*CORNER, CORNER[0]])
     assert drawn_course(WaypointPath(CORNER)) == pytest.approx(closed)

@@ -10,7 +10,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.robots import load_robot
-from omniman_ros.viewer.body_view import BodyShapes, solids_around
+from omniman_ros.viewer.body_view import BodyShapes, obstacles_around
 from omniman_ros.viewer.map_image import FREE, MOST_PIXELS, OCCUPIED, map_image, map_pixels
 from omniman_ros.viewer.perceived import (
     ARROW_TIME,
@@ -56,14 +56,14 @@ def test_what_is_out_of_date_is_not_drawn():
     perceived.update_scan("rear", np.zeros((3, 3)), 10.5)
     perceived.update_tracks(TRACKS, 10.0)
     perceived.update_margin(0.2, 10.0)
-    perceived.update_speed_shares((0.5, 1.0), 10.0)
+    perceived.update_speed_fractions((0.5, 1.0), 10.0)
     perceived.contacts["a"] = Contact("a touches b", np.zeros(3), 1.0, 10.0)
     perceived.sample(10.9)
     assert len(perceived.scan.points) == 5 and len(perceived.tracks) == 2
     assert perceived.tip_over_margin == 0.2 and perceived.contacts
     perceived.sample(10.0 + LATE)
     assert len(perceived.scan.points) == 3 and len(perceived.tracks) == 0
-    assert (perceived.tip_over_margin, perceived.speed_shares) == (None, None)
+    assert (perceived.tip_over_margin, perceived.speed_fractions) == (None, None)
     assert not perceived.contacts
     perceived.sample(5.0)
     assert len(perceived.scan.points) == 0, "time went back"
@@ -102,7 +102,7 @@ ARM = np.array([0.0, -1.2, 1.6, -0.4, 1.2, 0.0])
 
 def near(*points):
     scan = np.array(points).reshape(-1, 3)
-    return solids_around(np.zeros(3), Ellipses.none(), ObstacleArrays.empty(), scan)
+    return obstacles_around(np.zeros(3), Ellipses.none(), ObstacleArrays.empty(), scan)
 
 
 def test_the_nearest_thing_is_found_with_the_part_and_the_distance(shapes):

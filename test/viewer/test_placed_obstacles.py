@@ -11,7 +11,7 @@ from omniman_ros.planning.cases import CASES, TwoVelocityPath
 from omniman_ros.viewer.obstacle_paths import (
     MAX_WAYPOINTS,
     AtEnd,
-    Motion,
+    PathKind,
     WaypointPath,
     motion,
 )
@@ -177,7 +177,7 @@ def test_numbers_are_never_reused():
 def test_a_change_of_velocity_follows_the_obstacles_own_time():
     obstacles = PlacedObstacles()
     obstacles.pause(0.0)
-    obstacles.add(CASES["moving"].ways[2], 0.0)
+    obstacles.add(CASES["moving"].paths[2], 0.0)
     obstacles.resume(100.0)
     assert obstacles.arrays(104.4).velocities[0] == pytest.approx([0.0, -0.15])
     assert obstacles.arrays(104.6).velocities[0] == pytest.approx([0.0, -0.9])
@@ -247,7 +247,7 @@ def test_an_obstacle_that_has_arrived_goes_on_to_a_new_way_point():
     assert obstacles.arrays(102.0).centers == pytest.approx(np.array([[3.0, 2.0]]))
 
 
-@pytest.mark.parametrize("kind", Motion)
+@pytest.mark.parametrize("kind", PathKind)
 @pytest.mark.parametrize("path", [WALK, TURN], ids=["way points", "turn"])
 def test_another_kind_of_motion_does_not_move_the_obstacle(path, kind):
     obstacles = PlacedObstacles()
@@ -267,7 +267,7 @@ def test_another_kind_of_motion_does_not_move_the_obstacle(path, kind):
         lambda c: c.add_waypoint(1, (0.0, 0.0), 0.0),
         lambda c: c.add_waypoint(9, (0.0, 0.0), 0.0),
         lambda c: c.set_path(9, WALK, 0.0),
-        lambda c: c.set_motion(9, Motion.STRAIGHT, 0.0),
+        lambda c: c.set_motion(9, PathKind.STRAIGHT, 0.0),
         lambda c: c.set_path(0, replace(TURN, time=-0.1), 0.0),
         lambda c: c.set_path(0, replace(TURN, time=NAN), 0.0),
         lambda c: c.set_path(0, replace(TURN, then=(4.0, 0.0)), 0.0),

@@ -12,9 +12,9 @@ from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveSetpoint,
     Feedback,
     Receipt,
-    Setpoint,
     WrappingCounter,
 )
 from omniman_ros.can_drives.cia402.bringup import RETRY_PERIOD, BringUp
@@ -32,6 +32,7 @@ from omniman_ros.can_drives.cia402.canopen import (
     parse_heartbeat,
     parse_sdo,
 )
+from omniman_ros.can_drives.cia402.drive_supervisor import DriveSupervisor, FaultReasons
 from omniman_ros.can_drives.cia402.objects import (
     CONTROLWORD,
     RPDO_OFFSET,
@@ -39,7 +40,7 @@ from omniman_ros.can_drives.cia402.objects import (
     RPDO_VELOCITY,
     TPDO_MOTION,
     TPDO_STATUS,
-    Pdo,
+    PdoMapping,
     Units,
 )
 from omniman_ros.can_drives.cia402.setup import Abilities, check_settings
@@ -55,8 +56,7 @@ from omniman_ros.can_drives.cia402.state import (
     PdsState,
     pds_state,
 )
-from omniman_ros.can_drives.cia402.watch import FaultReasons, Watch
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import InputError
 
@@ -97,7 +97,7 @@ class Cia402Axis:
         self._counter, self._reasons, self._watch = (
             WrappingCounter(),
             FaultReasons(),
-            Watch(settings),
+            DriveSupervisor(settings),
         )
         self._bring_up: BringUp | None = None
         self._abilities: Abilities | None = None
@@ -162,7 +162,7 @@ class Cia402Axis:
 
     # ---- reception ----------------------------------------------------------------------------
 
-    def receive(self, frame: Frame, now: float) -> Receipt:
+    def receive(self, frame: CanFrame, now: float) -> Receipt:
         """See `axis.Axis`."""
         handler = None if frame.extended else self._handlers.get(frame.id)
         if handler is None:
@@ -298,7 +298,7 @@ class Cia402Axis:
 
     # ---- sending ------------------------------------------------------------------------------
 
-    def tick(self, demand: Demand, setpoint: Setpoint, now: float) -> list[Frame]:
+    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
         """See `axis.Axis`.
 
         With a fault reason, DRIVE is treated as STOP.
@@ -316,7 +316,7 @@ class Cia402Axis:
             return self._frames_running(demand, setpoint, now)
         return self._frames_offline(demand, now)
 
-    def _frames_configuring(self, now: float) -> list[Frame]:
+    def _frames_configuring(self, now: float) -> list[CanFrame]:
         assert self._bring_up is not None
         frames = self._bring_up.tick(self._nmt, now)
         self._follow_bring_up()
@@ -334,7 +334,7 @@ class Cia402Axis:
             self._mode_requested = abilities.modes[DriveMode.VELOCITY]
             self._nmt = None  # only heartbeats from now on are evaluated
 
-    def _frames_offline(self, demand: Demand, now: float) -> list[Frame]:
+    def _frames_offline(self, demand: Demand, now: float) -> list[CanFrame]:
         if self._abilities is None:
             return []
         word = DISABLE_VOLTAGE if demand is Demand.IDLE else QUICK_STOP
@@ -354,7 +354,9 @@ class Cia402Axis:
         for reason in self._watch.refusals(self._pds, demand, *modes, now):
             self._fail(*reason)
 
-    def _frames_running(self, demand: Demand, setpoint: Setpoint, now: float) -> list[Frame]:
+    def _frames_running(
+        self, demand: Demand, setpoint: DriveSetpoint, now: float
+    ) -> list[CanFrame]:
         abilities, units = self._abilities, self._units
         assert abilities is not None and self._pds is not None
         if self._reset is not None and self._reset.expired(now):
@@ -388,5 +390,5 @@ class Cia402Axis:
             target, pdo = units.from_torque(value), RPDO_TORQUE
         return [*frames, self._frame(pdo, word, target, self._mode_requested)]
 
-    def _frame(self, pdo: Pdo, *values: int) -> Frame:
-        return Frame(pdo.base + self.settings.node, pdo.pack(*values))
+    def _frame(self, pdo: PdoMapping, *values: int) -> CanFrame:
+        return CanFrame(pdo.base + self.settings.node, pdo.pack(*values))

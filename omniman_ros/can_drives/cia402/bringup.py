@@ -5,7 +5,7 @@ from omniman_ros.can_drives.cia402.canopen import NmtCommand, NmtState, nmt
 from omniman_ros.can_drives.cia402.objects import TPDO_STATUS
 from omniman_ros.can_drives.cia402.sdo import SdoDialogue
 from omniman_ros.can_drives.cia402.setup import Abilities, setup
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 
 START_TIMEOUT = 1.0  #: Longest time from NMT start to the first heartbeat and statusword [s]
 RETRY_PERIOD = 0.1  #: Period at which unacknowledged frames are repeated [s]
@@ -33,7 +33,7 @@ class BringUp:
         self.failure = self._dialogue.failure
         return is_answer
 
-    def tick(self, reported: NmtState | None, now: float) -> list[Frame]:
+    def tick(self, reported: NmtState | None, now: float) -> list[CanFrame]:
         """Return the frames to send now; `reported` is the heartbeat's state since the start."""
         if not self._has_begun:
             self._has_begun = True

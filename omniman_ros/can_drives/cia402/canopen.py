@@ -11,7 +11,7 @@ from enum import IntEnum
 from canopen.emcy import EmcyError
 from canopen.sdo.exceptions import SdoAbortedError
 
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.errors import InputError
 
 # Function codes of the predefined connection set (7.3.3): COB-id = code + node.
@@ -49,23 +49,23 @@ class NmtState(IntEnum):
         return self.name.lower().replace("_", "-")
 
 
-def nmt(command: NmtCommand, node: int) -> Frame:
+def nmt(command: NmtCommand, node: int) -> CanFrame:
     """Return an NMT command to one node; CiA 301 7.2.8.2.1.
 
     Raises:
         InputError: The node is not one of 1 to 127 (0 would mean all).
     """
-    return Frame(NMT, bytes((command, _checked_node(node))))
+    return CanFrame(NMT, bytes((command, _checked_node(node))))
 
 
-def sync() -> Frame:
+def sync() -> CanFrame:
     """Return a SYNC frame without a counter; CiA 301 7.2.5."""
-    return Frame(SYNC, b"")
+    return CanFrame(SYNC, b"")
 
 
-def heartbeat(node: int, state: NmtState) -> Frame:
+def heartbeat(node: int, state: NmtState) -> CanFrame:
     """Return a heartbeat of a node 1 to 127 (or raise InputError); CiA 301 7.2.8.3.2.2."""
-    return Frame(HEARTBEAT + _checked_node(node), bytes((state,)))
+    return CanFrame(HEARTBEAT + _checked_node(node), bytes((state,)))
 
 
 def parse_heartbeat(data: bytes) -> NmtState | None:
@@ -139,7 +139,7 @@ class Entry:
         return int.from_bytes(data[: self.size], "little", signed=signed)
 
 
-def download(node: int, entry: Entry, value: int) -> Frame:
+def download(node: int, entry: Entry, value: int) -> CanFrame:
     """Return an expedited request to write an entry; CiA 301 7.2.4.3.3.
 
     Raises:
@@ -148,13 +148,13 @@ def download(node: int, entry: Entry, value: int) -> Frame:
     data = entry.pack(value)
     # ccs = 1, e = 1, s = 1, n = bytes without data
     head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, entry.index, entry.sub)
-    return Frame(SDO_REQUEST + _checked_node(node), head + data.ljust(4, b"\0"))
+    return CanFrame(SDO_REQUEST + _checked_node(node), head + data.ljust(4, b"\0"))
 
 
-def upload(node: int, entry: Entry) -> Frame:
+def upload(node: int, entry: Entry) -> CanFrame:
     """Return a request to read an entry of a node 1 to 127; CiA 301 7.2.4.3.6."""
     head = struct.pack("<BHB", 0x40, entry.index, entry.sub)
-    return Frame(SDO_REQUEST + _checked_node(node), head + bytes(4))
+    return CanFrame(SDO_REQUEST + _checked_node(node), head + bytes(4))
 
 
 @dataclass(frozen=True, slots=True)

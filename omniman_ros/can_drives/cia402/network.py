@@ -6,7 +6,7 @@ from collections.abc import Collection
 from omniman_ros.can_drives.axis import AxisSettings
 from omniman_ros.can_drives.cia402.canopen import HEARTBEAT, NMT, SYNC, NmtState, heartbeat, sync
 from omniman_ros.can_drives.cia402.setup import HOST_NODE
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.errors import InputError
 
 
@@ -29,7 +29,7 @@ class CanopenNetwork:
         self._interval = timeout / 4.0 - min(drive.period for drive in settings) / 2.0
         self._last_heartbeat = -math.inf
 
-    def before(self, now: float) -> list[Frame]:
+    def before(self, now: float) -> list[CanFrame]:
         """Return the heartbeat if it is due at `now` [s], else an empty list.
 
         It is due four times per shortest heartbeat timeout of the drives.
@@ -39,6 +39,6 @@ class CanopenNetwork:
         self._last_heartbeat = now
         return [heartbeat(HOST_NODE, NmtState.OPERATIONAL)]
 
-    def after(self, now: float) -> list[Frame]:
+    def after(self, now: float) -> list[CanFrame]:
         """Return SYNC; the drives measure when they receive it."""
         return [sync()]

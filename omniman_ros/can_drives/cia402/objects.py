@@ -40,7 +40,7 @@ PROFILE = 402
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class PdoMapping:
     """One process data object."""
 
     number: int  #: Number of the PDO, 1 to 4
@@ -96,17 +96,17 @@ class Pdo:
 
 
 # In each mode one frame per tick carries controlword, mode and setpoint together.
-RPDO_VELOCITY = Pdo(1, False, (CONTROLWORD, TARGET_VELOCITY, MODE))
+RPDO_VELOCITY = PdoMapping(1, False, (CONTROLWORD, TARGET_VELOCITY, MODE))
 """PDO of the setpoint in velocity mode."""
 #: PDO of the setpoint in torque mode
-RPDO_TORQUE = Pdo(2, False, (CONTROLWORD, TARGET_TORQUE, MODE))
-RPDO_OFFSET = Pdo(3, False, (TORQUE_OFFSET,))  #: PDO of the feed-forward torque
-TPDO_STATUS = Pdo(1, True, (STATUSWORD, MODE_DISPLAY, TORQUE))  #: PDO of state and torque
-TPDO_MOTION = Pdo(2, True, (POSITION, VELOCITY))  #: PDO of position and velocity
+RPDO_TORQUE = PdoMapping(2, False, (CONTROLWORD, TARGET_TORQUE, MODE))
+RPDO_OFFSET = PdoMapping(3, False, (TORQUE_OFFSET,))  #: PDO of the feed-forward torque
+TPDO_STATUS = PdoMapping(1, True, (STATUSWORD, MODE_DISPLAY, TORQUE))  #: PDO of state and torque
+TPDO_MOTION = PdoMapping(2, True, (POSITION, VELOCITY))  #: PDO of position and velocity
 #: PDO of error code and supply voltage
-TPDO_SUPPLY = Pdo(3, True, (ERROR_CODE, BUS_VOLTAGE), period=10)
+TPDO_SUPPLY = PdoMapping(3, True, (ERROR_CODE, BUS_VOLTAGE), period=10)
 #: PDO in place of TPDO_SUPPLY for a drive that does not report its supply voltage
-TPDO_ERROR = Pdo(3, True, (ERROR_CODE,), period=10)
+TPDO_ERROR = PdoMapping(3, True, (ERROR_CODE,), period=10)
 
 
 def mode_text(code: int) -> str:

@@ -12,7 +12,7 @@ from omniman_ros.can_drives.cia402.canopen import (
     parse_sdo,
     upload,
 )
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.errors import OmnimanError
 
 TIMEOUT = 0.2  #: Time without an answer after which a request is repeated or given up [s]
@@ -94,7 +94,7 @@ class SdoDialogue(Generic[T]):
         """Whether the dialogue has a result or has failed."""
         return self._request is None
 
-    def tick(self, now: float) -> list[Frame]:
+    def tick(self, now: float) -> list[CanFrame]:
         """Return the frames to send at `now` [s]: the request if it is due, else none.
 
         The dialogue fails if the last attempt has had no answer in time.

@@ -39,7 +39,7 @@ from omniman_ros.can_drives.cia402.objects import (
     TPDO_STATUS,
     TPDO_SUPPLY,
     VELOCITY_OFFSET,
-    Pdo,
+    PdoMapping,
 )
 from omniman_ros.can_drives.cia402.sdo import (
     ABSENT_CODES,
@@ -97,7 +97,8 @@ class Abilities:
 
     modes: dict[DriveMode, int]  #: Mode of operation by mode of the setpoint
     rated_torque: float  #: Rated torque of the motor [N m]
-    supply: Pdo | None  #: PDO that reports error and supply voltage; None if the drive has none
+    #: PDO that reports error and supply voltage; None if the drive has none
+    supply: PdoMapping | None
 
 
 @dataclass(frozen=True)
@@ -283,13 +284,15 @@ def _write_verified(entry: Entry, value: int, tolerance: float = 0.0) -> Steps[N
         raise SdoError(f"{entry} reads {actual} after {value} was written")
 
 
-def _map_all(settings: AxisSettings, torque: bool) -> Steps[Pdo | None]:
+def _map_all(settings: AxisSettings, torque: bool) -> Steps[PdoMapping | None]:
     """Map the PDOs that are used, and disable the others; return the PDO of the supply voltage."""
     used = [RPDO_VELOCITY, TPDO_STATUS, TPDO_MOTION]
     used += [RPDO_TORQUE] if torque else []
     used += [RPDO_OFFSET] if settings.feed_forward else []
     used_names = {pdo.name for pdo in used}
-    all_pdos = [Pdo(number, transmit) for number in range(1, 5) for transmit in (False, True)]
+    all_pdos = [
+        PdoMapping(number, transmit) for number in range(1, 5) for transmit in (False, True)
+    ]
     for pdo in all_pdos:
         if pdo.name not in used_names:
             yield from _disable(pdo)
@@ -302,14 +305,14 @@ def _map_all(settings: AxisSettings, torque: bool) -> Steps[Pdo | None]:
     return None
 
 
-def _disable(pdo: Pdo) -> Steps[None]:
+def _disable(pdo: PdoMapping) -> Steps[None]:
     cob_id = yield from _cob_id(pdo)
     if cob_id is not None and not cob_id & PDO_DISABLED:
         # A PDO that stays enabled is ignored: it only loads the bus.
         yield from try_write(pdo.cob_id, cob_id | PDO_DISABLED)
 
 
-def _cob_id(pdo: Pdo) -> Steps[int | None]:
+def _cob_id(pdo: PdoMapping) -> Steps[int | None]:
     """Return the COB-id of a PDO, or None if there is no such PDO."""
     answer = yield Request(pdo.cob_id)
     if answer.abort in ABSENT_CODES:
@@ -317,7 +320,7 @@ def _cob_id(pdo: Pdo) -> Steps[int | None]:
     return answer_value(pdo.cob_id, answer)
 
 
-def _map(pdo: Pdo, node: int) -> Steps[str]:
+def _map(pdo: PdoMapping, node: int) -> Steps[str]:
     """Map a PDO by the procedure of CiA 301 7.5.2.36; return why it was refused, or "".
 
     A refused PDO is left disabled.

@@ -49,7 +49,7 @@ SLOPES = {"x": -3, "y": -2}  #: Indices of the unknowns for the slope of the flo
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FloorEstimate:
     """An identified quantity."""
 
     value: float
@@ -67,7 +67,7 @@ class FloorFit:
     #: arm together, wheel_inertia (over the configured), gear_efficiency, `viscous.WHEEL`,
     #: `coulomb.WHEEL`, `drag.WHEEL` [N], `drag DIRECTION` and `friction DIRECTION` (CCTA 2017 (23)
     #: at 1 m/s and 1 rad/s [N, N m]), slope_x and slope_y [rad], and `back_emf.WHEEL` [V s/rad].
-    estimates: dict[str, Estimate]
+    estimates: dict[str, FloorEstimate]
     #: Names of the unknowns that the drive cannot tell apart, in groups; a group of one has too
     #: little effect.
     inseparable: list[tuple[str, ...]]
@@ -113,7 +113,7 @@ def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
     return FloorFit(
         identified_robot(robot, values),
         {
-            name: Estimate(
+            name: FloorEstimate(
                 value,
                 float(np.hypot(half_widths[k], NORMAL_95 * spread[k])),
                 before[name],

@@ -161,12 +161,12 @@ def report(record: FloorRecord, fit: FloorFit) -> list[str]:
         if not estimate.is_determined:
             cells = (*cells[:3], "not by itself", cells[4])
         rows.append((*cells, f"{truth[name]:.4f}") if truth else cells)
-    shares = 100.0 * fit.residual / fit.typical
+    fractions = 100.0 * fit.residual / fit.typical
     lines = ["", *table(rows), "", *undetermined_lines(fit)]
     lines.append(
         "Drag and friction by direction: at 1 m/s and 1 rad/s, CCTA 2017 (23). Of forward, "
-        f"sideways and turning torque, {shares[0]:.1f}, {shares[1]:.1f} and {shares[2]:.1f} % "
-        "are not explained."
+        f"sideways and turning torque, {fractions[0]:.1f}, {fractions[1]:.1f} and "
+        f"{fractions[2]:.1f} % are not explained."
     )
     checked = residuals(record, fit)
     if checked:

@@ -23,7 +23,7 @@ from omniman_ros.console.terminal import GREEN, paint, say
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.friction.drive_session import Drive, DriveSession
+from omniman_ros.identification.friction.drive_session import DriveNode, DriveSession
 from omniman_ros.identification.friction.friction_fit import WheelFriction, identify_friction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth, load, save
 from omniman_ros.identification.friction.report import calibrated, parameter_file, report, result
@@ -113,7 +113,7 @@ def measure_simulated_drive(args: argparse.Namespace) -> FrictionRecord:
     )
 
 
-def true_friction(drive: Drive, robot: Robot) -> Truth:
+def true_friction(drive: DriveNode, robot: Robot) -> Truth:
     """Return the friction that a simulated drive has."""
     factors = list(drive.values.get("mismatch.friction", [1.0]))
     factors = factors if len(factors) > 1 else factors * robot.wheel_count
@@ -140,7 +140,7 @@ def measure_running_drive(args: argparse.Namespace) -> FrictionRecord:
         return measure(args, poll, keyboard, is_simulated=False)
 
 
-def configured_robot(args: argparse.Namespace, drive: Drive, is_simulated: bool) -> Robot:
+def configured_robot(args: argparse.Namespace, drive: DriveNode, is_simulated: bool) -> Robot:
     """Return the robot that the user or the drive describes."""
     if args.robot is not None and not is_simulated:
         return build(Robot, load_robot(args.robot))

@@ -24,7 +24,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import specs
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.friction.experiment import FrictionExperiment, Phase
+from omniman_ros.identification.friction.experiment import ExperimentPhase, FrictionExperiment
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 from omniman_ros.identification.node_access import LATCHED, LOSSLESS, SIM_TIME, read_parameters
@@ -41,7 +41,7 @@ REST_TIMEOUT = 6.0  #: Longest time to bring the wheels to rest [s]; then the wa
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveNode:
     """The node that drives the wheels."""
 
     name: str  #: Fully qualified name of the node
@@ -172,7 +172,7 @@ class DriveSession:
             for info in self._session.node.get_publishers_info_by_topic(topic)
         ]
 
-    def find_drive(self, more_parameters: tuple[str, ...] = ()) -> Drive:
+    def find_drive(self, more_parameters: tuple[str, ...] = ()) -> DriveNode:
         """Find the drive, and read the configuration of its robot."""
         self._wait_until(lambda: False, ANNOUNCEMENT_TIME)
 
@@ -190,13 +190,13 @@ class DriveSession:
             raise CommandError(f"{', '.join(drives)} publish '{STATES}': which one is the robot?")
         client = self._session.node.create_client(GetParameters, f"{drives[0]}/get_parameters")
         if not self._wait_until(client.service_is_ready, DISCOVERY_TIMEOUT):
-            return Drive(drives[0], {})
+            return DriveNode(drives[0], {})
         names = [spec.name for spec in specs(Robot)]
         names += [SIM_TIME, PUBLISHES_CLOCK, *more_parameters]
         values = read_parameters(self._session, client, drives[0], names)
         if values.get(SIM_TIME) or values.get(PUBLISHES_CLOCK):
             raise CommandError(f"{drives[0]} runs on simulated time: start it without")
-        return Drive(drives[0], values)
+        return DriveNode(drives[0], values)
 
     def connect(self, robot: Robot) -> None:
         """Wait until all feedback of a robot is received and its drive accepts voltages."""
@@ -233,7 +233,7 @@ class DriveSession:
         shown_index = experiment.level_index
         self._progress.begin("first turns")
         try:
-            while experiment.phase is not Phase.DONE:
+            while experiment.phase is not ExperimentPhase.DONE:
                 self.check()
                 self._apply(experiment)
                 if experiment.level_index != shown_index:
@@ -282,7 +282,7 @@ class DriveSession:
         """Ramp down; neither a fault nor another signal interrupts this."""
         self._progress.abandon()
         end = self._clock() + REST_TIMEOUT
-        while experiment.phase is not Phase.DONE and self._clock() < end:
+        while experiment.phase is not ExperimentPhase.DONE and self._clock() < end:
             # Drives that are stopped brake by themselves, and accept nothing but zero.
             is_stopped = self._is_emergency or bool(self._stop_reasons)
             experiment.end(self._clock(), at_once=is_stopped)

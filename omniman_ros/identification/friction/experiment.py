@@ -26,7 +26,7 @@ REST_TIME = 0.2  #: Time at zero voltage after which wheels without speed count 
 REST_TIMEOUT = 3.0  #: Time at zero voltage after which the experiment ends anyway [s]
 
 
-class Phase(enum.Enum):
+class ExperimentPhase(enum.Enum):
     """Phase of the experiment; the value is shown to the user."""
 
     RAMP = "ramp"
@@ -54,7 +54,7 @@ class FrictionExperiment:
         self._voltage_restarts = 0
         self.restarts = 0  #: Number of times that a level was restarted because of a disturbance
         self.runs: list[SteadyRun] = []  #: Steady runs that were measured so far
-        self.phase = Phase.RAMP  #: Current phase
+        self.phase = ExperimentPhase.RAMP  #: Current phase
         self.level_index = -1  #: Index of the current level, -1 for the first, low voltage
 
     # ---- feedback -----------------------------------------------------------------------------
@@ -69,15 +69,15 @@ class FrictionExperiment:
         pause = self._monitor.on_wheels(stamp, position, velocity, now)
         if pause > MAX_PAUSE:
             self._disturbance = f"no wheel_states for {pause:.2f} s"
-        if self.phase in (Phase.SETTLE, Phase.MEASURE):
+        if self.phase in (ExperimentPhase.SETTLE, ExperimentPhase.MEASURE):
             self._samples.add_speed(stamp, velocity)
-        if self.phase is Phase.MEASURE:
+        if self.phase is ExperimentPhase.MEASURE:
             self._samples.add_position(stamp, position)
 
     def on_electrical(self, voltage: Array, current: Array, now: float) -> None:
         """Process voltages and currents, see :meth:`FeedbackMonitor.on_electrical`."""
         self._monitor.on_electrical(voltage, current, now)
-        if self.phase is Phase.MEASURE:
+        if self.phase is ExperimentPhase.MEASURE:
             self._samples.add_electrical(voltage, current)
         if self._is_constant_for(VOLTAGE_CHECK_DELAY, now):
             deviation = self._monitor.voltage_deviation(voltage, self._level)
@@ -86,8 +86,8 @@ class FrictionExperiment:
 
     def _is_constant_for(self, delay: float, now: float) -> bool:
         """Return whether the voltage is constant, and was for a time [s] or until measuring."""
-        return self.phase is Phase.MEASURE or (
-            self.phase is Phase.SETTLE and now - self._phase_start > delay
+        return self.phase is ExperimentPhase.MEASURE or (
+            self.phase is ExperimentPhase.SETTLE and now - self._phase_start > delay
         )
 
     # ---- commands -----------------------------------------------------------------------------
@@ -104,9 +104,9 @@ class FrictionExperiment:
 
     def end(self, now: float, at_once: bool = False) -> None:
         """End the experiment early, without a ramp if `at_once`; complete runs are kept."""
-        if self.phase in (Phase.END, Phase.DONE):
+        if self.phase in (ExperimentPhase.END, ExperimentPhase.DONE):
             return
-        self._begin(Phase.END, now)
+        self._begin(ExperimentPhase.END, now)
         self._ends_early, self._last_motion = True, now
         if at_once:
             self._level = 0.0
@@ -119,15 +119,15 @@ class FrictionExperiment:
                 apply these voltages until `phase` is DONE.
         """
         step, self._now = max(now - self._now, 0.0), now
-        if self.phase not in (Phase.END, Phase.DONE):
+        if self.phase not in (ExperimentPhase.END, ExperimentPhase.DONE):
             self._supervise(now, step)
-        if self.phase is Phase.RAMP:
+        if self.phase is ExperimentPhase.RAMP:
             self._ramp_to_level(now, step)
-        elif self.phase is Phase.SETTLE:
+        elif self.phase is ExperimentPhase.SETTLE:
             self._settle(now)
-        elif self.phase is Phase.MEASURE:
+        elif self.phase is ExperimentPhase.MEASURE:
             self._measure(now)
-        elif self.phase is Phase.END:
+        elif self.phase is ExperimentPhase.END:
             self._ramp_to_rest(now, step)
         voltages: Array = self._level * self._plan.signs
         return voltages
@@ -138,7 +138,7 @@ class FrictionExperiment:
     def _is_check(self) -> bool:
         return self.level_index < 0
 
-    def _begin(self, phase: Phase, now: float) -> None:
+    def _begin(self, phase: ExperimentPhase, now: float) -> None:
         self.phase, self._phase_start, self._last_check = phase, now, now
         self._samples.clear()
 
@@ -165,7 +165,7 @@ class FrictionExperiment:
                 "machine or the connection to the drive is too slow"
             )
         self._disturbance, self._has_wrong_voltage = "", False
-        self._begin(Phase.RAMP, now)
+        self._begin(ExperimentPhase.RAMP, now)
         self._follow_until = now + FOLLOW_TIME
 
     def _ramp_to_level(self, now: float, step: float) -> None:
@@ -176,7 +176,7 @@ class FrictionExperiment:
         target = self._plan.check_level if self._is_check else self._plan.levels[self.level_index]
         self._ramp(target, self._plan.ramp_rate * step)
         if self._level == target:
-            self._begin(Phase.SETTLE, now)
+            self._begin(ExperimentPhase.SETTLE, now)
 
     def _follow_speed(self) -> None:
         speed = float(np.median(self._monitor.speed * self._plan.signs))
@@ -192,7 +192,7 @@ class FrictionExperiment:
         elapsed = now - self._last_motion
         is_settled = self.is_at_rest and elapsed > REST_TIME
         if self._level == 0.0 and (is_settled or elapsed > REST_TIMEOUT):
-            self.phase = Phase.DONE
+            self.phase = ExperimentPhase.DONE
 
     def _ramp(self, target: float, max_change: float) -> None:
         distance = target - self._level
@@ -207,7 +207,7 @@ class FrictionExperiment:
             return
         self._last_check = now
         if self._samples.are_steady(self._monitor.stamp) or is_late:
-            self._begin(Phase.MEASURE, now)
+            self._begin(ExperimentPhase.MEASURE, now)
 
     def _measure(self, now: float) -> None:
         """Measure until the mean is precise enough, or the time is up."""
@@ -244,5 +244,5 @@ class FrictionExperiment:
         self._voltage_restarts = 0
         self.level_index += 1
         is_last = self.level_index >= len(self._plan.levels)
-        self._begin(Phase.END if is_last else Phase.RAMP, now)
+        self._begin(ExperimentPhase.END if is_last else ExperimentPhase.RAMP, now)
         self._last_motion = now

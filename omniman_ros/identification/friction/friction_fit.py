@@ -39,9 +39,10 @@ from omniman_ros.identification.friction.robust_statistics import (
 
 Pair = tuple[float, float]  #: Viscous friction a [N m s/rad] and Coulomb friction b [N m]
 
-MODEL_SHARE = 0.999  #: Share of the Coulomb friction that the model must reach in a usable run
+#: Fraction of the Coulomb friction that the model must reach in a usable run
+MIN_MODEL_FRACTION = 0.999
 #: Speed at which the model's smooth sign reaches that share [rad/s]; slower runs are left out
-MIN_SPEED = SIGN_WIDTH * MODEL_SHARE / math.sqrt(1.0 - MODEL_SHARE**2)
+MIN_SPEED = SIGN_WIDTH * MIN_MODEL_FRACTION / math.sqrt(1.0 - MIN_MODEL_FRACTION**2)
 MIN_RUNS = 3  #: Number of runs in each direction that a fit needs
 MIN_SPEED_RATIO = 2.0  #: Ratio of fastest to slowest run per direction that separates a from b
 RESOLUTION = 0.002  #: Smallest relative error of a torque that is assumed
@@ -84,7 +85,7 @@ class SteadyRun:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ConfidenceInterval:
     """A value with the half width of its 95 % confidence interval, in the same unit."""
 
     value: float
@@ -96,8 +97,8 @@ class WheelFriction:
     """The identified friction of one wheel."""
 
     name: str  #: Name of the wheel
-    viscous: Estimate  #: Viscous friction a, common to both directions [N m s/rad]
-    coulomb: Estimate  #: Coulomb friction b, common to both directions [N m]
+    viscous: ConfidenceInterval  #: Viscous friction a, common to both directions [N m s/rad]
+    coulomb: ConfidenceInterval  #: Coulomb friction b, common to both directions [N m]
     forward: Pair  #: a and b of the forward direction
     backward: Pair  #: a and b of the backward direction
     difference: float  #: p-value of the hypothesis of equal directions (F test on a and b)
@@ -105,7 +106,7 @@ class WheelFriction:
     freedom: int  #: Degrees of freedom
     outliers: tuple[int, ...]  #: Indices of the runs whose weight is zero or nearly so
     left_out: tuple[int, ...]  #: Indices of the runs that were too slow or not steady
-    back_emf: Estimate  #: N K from voltage, current and speed [V s/rad]
+    back_emf: ConfidenceInterval  #: N K from voltage, current and speed [V s/rad]
     nominal_back_emf: float  #: N K as configured [V s/rad]
     covariance: Array  #: (4, 4) covariance of a, b, and half the differences of b and of a
 
@@ -178,8 +179,8 @@ def _identify_wheel(runs: Sequence[SteadyRun], robot: Robot, k: int) -> WheelFri
     width = student_95(fit.freedom) * np.sqrt(np.diag(fit.covariance))
     return WheelFriction(
         name=name,
-        viscous=Estimate(a, float(width[0])),
-        coulomb=Estimate(b, float(width[1])),
+        viscous=ConfidenceInterval(a, float(width[0])),
+        coulomb=ConfidenceInterval(b, float(width[1])),
         forward=(a + half_difference_a, b + half_difference_b),
         backward=(a - half_difference_a, b - half_difference_b),
         difference=zero_probability(fit, (2, 3)),
@@ -205,7 +206,7 @@ def _fit_torques(speeds: Array, torques: Array, error: float) -> RobustFit:
     return mm_estimate(columns, torques, start, min_scale)
 
 
-def _fit_back_emf(speeds: Array, voltages: Array) -> Estimate:
+def _fit_back_emf(speeds: Array, voltages: Array) -> ConfidenceInterval:
     """Fit N K [V s/rad] to the voltages (k,) [V] behind the resistance at speeds (k,) [rad/s].
 
     The column of the sign absorbs the voltage of the brushes, and the part of the Coulomb
@@ -216,7 +217,7 @@ def _fit_back_emf(speeds: Array, voltages: Array) -> Estimate:
     min_scale = RESOLUTION * float(np.median(np.abs(voltages)))
     fit = mm_estimate(np.column_stack([speeds, signs]), voltages, start, min_scale)
     width = student_95(fit.freedom) * math.sqrt(fit.covariance[0, 0])
-    return Estimate(float(fit.values[0]), float(width))
+    return ConfidenceInterval(float(fit.values[0]), float(width))
 
 
 def _demand_enough_runs(name: str, speeds: Array, total: int) -> None:

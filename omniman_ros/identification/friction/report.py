@@ -6,7 +6,11 @@ from datetime import UTC, datetime
 from typing import Any
 
 from omniman_ros.console.terminal import table
-from omniman_ros.identification.friction.friction_fit import MIN_SPEED, Estimate, WheelFriction
+from omniman_ros.identification.friction.friction_fit import (
+    MIN_SPEED,
+    ConfidenceInterval,
+    WheelFriction,
+)
 from omniman_ros.identification.friction.record import FrictionRecord, Truth
 
 BACK_EMF_TOLERANCE = 0.03  #: Relative deviation of N K above which a warning is given
@@ -39,7 +43,7 @@ def parameter_file(wheels: Wheels) -> str:
     for name, unit in (("viscous", "N m s/rad"), ("coulomb", "N m")):
         lines.append(f"      # {name} [{unit}]")
         for wheel in wheels:
-            estimate: Estimate = getattr(wheel, name)
+            estimate: ConfidenceInterval = getattr(wheel, name)
             lines.append(
                 f"      #   {wheel.name}: {estimate.value:.6f} +- {estimate.half_width:.6f}"
             )

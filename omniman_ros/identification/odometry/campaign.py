@@ -14,7 +14,7 @@ Pose = tuple[float, float, float]  #: Position and heading of base_link on the f
 
 
 @dataclass(frozen=True)
-class Run:
+class CalibrationRun:
     """The motion of the wheels between two measured poses."""
 
     name: str  #: Name of the run, for messages
@@ -46,7 +46,7 @@ class Campaign:
     """
 
     wheels: Wheels  #: The wheels as configured, without calibration
-    runs: tuple[Run, ...]  #: N runs; the robot does not move between them
+    runs: tuple[CalibrationRun, ...]  #: N runs; the robot does not move between them
     #: N + 1 measured poses of base_link [m, m, rad] in one frame of the floor: before the first
     #: run, between the runs, and after the last; None where the pose was not measured. Headings
     #: may be wrapped.

@@ -19,7 +19,7 @@ from omniman_ros.core.robot import Body
 #: Ratio of the distance that is kept from the edge of the square to the reach. The longest run is
 #: 2.8 times the reach, and uncalibrated odometry has an error of a few per cent of it.
 MARGIN = 0.1
-MIN_REACH = 0.25  #: Smallest useful distance of base_link from the middle to a side [m]
+MIN_SIDE_DISTANCE = 0.25  #: Smallest useful distance of base_link from the middle to a side [m]
 MIN_RAMP_TIME = 1.0  #: Shortest time from rest to full speed [s]
 MAX_SPEED_FRACTION = 0.7  #: Largest speed that the user may choose, over the robot's limit
 ANGULAR_SPEED_FRACTION = 0.5  #: Largest yaw rate of the runs, over the robot's limit
@@ -114,8 +114,8 @@ def max_reach(area: float, body: Body) -> float:
     """
     radius = 0.5 * math.hypot(body.length, body.width)
     reach = (0.5 * area - radius) / (1.0 + MARGIN)
-    if not reach >= MIN_REACH:
-        smallest = 2.0 * (radius + (1.0 + MARGIN) * MIN_REACH)
+    if not reach >= MIN_SIDE_DISTANCE:
+        smallest = 2.0 * (radius + (1.0 + MARGIN) * MIN_SIDE_DISTANCE)
         raise CommandError(
             f"--area {area:g} is too small for a robot of {body.length:g} m by {body.width:g} m: "
             f"at least {math.ceil(10.0 * smallest) / 10.0:g}",
@@ -156,7 +156,7 @@ class SmoothProgress:
 Shape = Callable[[float], tuple[Triple, Triple, Triple]]
 
 
-class Motion:
+class CalibrationMotion:
     """A drive along a path, which is in the frame of a start in odom, from rest to rest.
 
     Args:

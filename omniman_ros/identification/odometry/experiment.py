@@ -11,9 +11,9 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
-from omniman_ros.identification.odometry.campaign import Pose, Run
+from omniman_ros.identification.odometry.campaign import CalibrationRun, Pose
 from omniman_ros.identification.odometry.drive_plan import (
-    Motion,
+    CalibrationMotion,
     RunTarget,
     Speeds,
     check_shape,
@@ -79,7 +79,7 @@ class OdometryExperiment:
         times, positions = self._wheels()
         end = self._expected_pose(positions, pose)
         measured = self._measure(name, end)
-        run = Run(name, without_standstill(times, positions)[1])
+        run = CalibrationRun(name, without_standstill(times, positions)[1])
         self.record = self.record.with_run(run, measured)
         return measured or end
 
@@ -92,7 +92,7 @@ class OdometryExperiment:
         self._robot.start_recording()
         displacement = displacement_to(pose, heading, "middle", self._reach)
         arrived = self._robot.drive(name, self._straight(displacement), (0.0, 0.2))
-        curve = Motion(check_shape(self._reach), self._robot.pose, self._speeds)
+        curve = CalibrationMotion(check_shape(self._reach), self._robot.pose, self._speeds)
         if not arrived or not self._robot.drive(name, curve, (0.2, 1.0)):
             self._count_cancelled(name)
         times, positions = self._wheels()
@@ -114,8 +114,8 @@ class OdometryExperiment:
                 f"run '{name}' and {MAX_CANCELLED_RUNS} before it were cancelled on the way"
             )
 
-    def _straight(self, displacement: Triple) -> Motion:
-        return Motion(straight_shape(displacement), self._robot.pose, self._speeds)
+    def _straight(self, displacement: Triple) -> CalibrationMotion:
+        return CalibrationMotion(straight_shape(displacement), self._robot.pose, self._speeds)
 
     def _wheels(self) -> tuple[Array, Array]:
         recording = self._robot.recording
@@ -141,6 +141,6 @@ def expected_duration(run_count: int, reach: float, speeds: Speeds) -> float:
         reach: Distance of base_link from the middle to a side of the square [m].
     """
     origin = (0.0, 0.0, 0.0)
-    side = Motion(straight_shape((2.0 * reach, 0.0, 0.0)), origin, speeds).duration
-    rotation = Motion(straight_shape((0.0, 0.0, math.pi)), origin, speeds).duration
+    side = CalibrationMotion(straight_shape((2.0 * reach, 0.0, 0.0)), origin, speeds).duration
+    rotation = CalibrationMotion(straight_shape((0.0, 0.0, math.pi)), origin, speeds).duration
     return (run_count + 1) * (side + rotation)

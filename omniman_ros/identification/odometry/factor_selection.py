@@ -22,9 +22,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.identification.odometry.campaign import Campaign, Pose
 from omniman_ros.identification.odometry.least_squares import (
+    LeastSquaresFit,
     Model,
     PoseChain,
-    Solution,
     jacobian,
     solve,
     twist_model,
@@ -33,12 +33,12 @@ from omniman_ros.identification.odometry.least_squares import (
 )
 
 MAX_DEVIATION = 0.01  #: Relative deviation above which a combination is undetermined
-MIN_SHARE = 0.3  #: Share, over the largest, from which a factor belongs to a combination
+MIN_FACTOR_FRACTION = 0.3  #: Share, over the largest, from which a factor belongs to a combination
 #: Test value above which a measured pose is an outlier: the part of the squared residuals that an
 #: error of this pose would explain, over its 3 degrees of freedom and the variance of the rest (or
 #: 1 if that is smaller). It is 99.9 % of F(3, 20), 99.997 % of chi-square.
 OUTLIER_LIMIT = 8.0
-MAX_OUTLIER_SHARE = 0.25  #: Largest share of the measured poses that may be left out
+MAX_OUTLIER_FRACTION = 0.25  #: Largest fraction of the measured poses that may be left out
 NORMAL_95 = 1.95996  #: Two-sided 95 % quantile of the normal distribution
 NORMAL_80 = 0.84162  #: One-sided 80 % quantile of the normal distribution
 
@@ -94,7 +94,7 @@ class _WheelFit:
     """Factors per wheel, tested against the whole matrix on the twist."""
 
     model: Model  #: The model of factors per wheel
-    solution: Solution  #: Its fit
+    solution: LeastSquaresFit  #: Its fit
     chi_square: float  #: Increase of the cost relative to the whole matrix, over the inflation
     limit: float  #: Largest value of `chi_square` at which it is chosen
 
@@ -134,7 +134,7 @@ def identify(campaign: Campaign, present: OdometryParameters) -> Calibration:
 
 def _fit_determined(
     campaign: Campaign, chain: PoseChain, model: Model
-) -> tuple[Solution, tuple[UndeterminedFactors, ...]]:
+) -> tuple[LeastSquaresFit, tuple[UndeterminedFactors, ...]]:
     """Fit the factors of a model that the runs determine."""
     free = tuple(range(len(model.factors)))
     undetermined: list[UndeterminedFactors] = []
@@ -166,14 +166,14 @@ def _undetermined_columns(slope: Array, variance: float) -> list[int] | None:
     smallest = singular[-1] if rows >= columns else 0.0
     if smallest * MAX_DEVIATION > math.sqrt(variance):
         return None
-    shares = np.abs(combinations[-1])
-    return [int(i) for i in np.flatnonzero(shares >= MIN_SHARE * shares.max())]
+    fractions = np.abs(combinations[-1])
+    return [int(i) for i in np.flatnonzero(fractions >= MIN_FACTOR_FRACTION * fractions.max())]
 
 
 def _without_outliers(campaign: Campaign, model: Model) -> tuple[Campaign, tuple[Outlier, ...]]:
     """Leave out measured poses that do not fit the others, the worst first."""
     outliers: list[Outlier] = []
-    max_count = int(MAX_OUTLIER_SHARE * len(campaign.stations))
+    max_count = int(MAX_OUTLIER_FRACTION * len(campaign.stations))
     while len(outliers) < max_count:
         chain = PoseChain(campaign)
         solution, _ = _fit_determined(campaign, chain, model)
@@ -185,7 +185,9 @@ def _without_outliers(campaign: Campaign, model: Model) -> tuple[Campaign, tuple
     return campaign, tuple(outliers)
 
 
-def _worst_outlier(campaign: Campaign, chain: PoseChain, solution: Solution) -> Outlier | None:
+def _worst_outlier(
+    campaign: Campaign, chain: PoseChain, solution: LeastSquaresFit
+) -> Outlier | None:
     """Return the measured pose that fits worst if it is an outlier, otherwise None."""
     freedom = solution.freedom - 3
     if freedom < 3:
@@ -210,7 +212,7 @@ def _worst_outlier(campaign: Campaign, chain: PoseChain, solution: Solution) -> 
 
 
 def _fit_wheels(
-    campaign: Campaign, chain: PoseChain, present: OdometryParameters, twist: Solution
+    campaign: Campaign, chain: PoseChain, present: OdometryParameters, twist: LeastSquaresFit
 ) -> _WheelFit | None:
     """Fit factors per wheel; None where they cannot be determined.
 
@@ -241,7 +243,9 @@ def _chi_square_80(freedom: int) -> float:
     return float(freedom * (1.0 - part + NORMAL_80 * math.sqrt(part)) ** 3)
 
 
-def _factors(model: Model, solution: Solution, present: OdometryParameters) -> tuple[Factor, ...]:
+def _factors(
+    model: Model, solution: LeastSquaresFit, present: OdometryParameters
+) -> tuple[Factor, ...]:
     before = _present_values(model, present)
     widths: dict[int, float] = {}
     if solution.free:

@@ -159,7 +159,7 @@ class PoseChain:
 
 
 @dataclass(frozen=True)
-class Solution:
+class LeastSquaresFit:
     """The least-squares fit of some of a model's factors."""
 
     free: tuple[int, ...]  #: Indices of the model's factors that were fitted
@@ -203,7 +203,7 @@ def solve(
     model: Model,
     free: Sequence[int],
     base_jacobian: Array,
-) -> Solution:
+) -> LeastSquaresFit:
     """Fit some factors of a model; the others keep their values of the model's base.
 
     The residuals are nearly linear in the factors, so a Jacobian is used until a step is longer
@@ -219,7 +219,7 @@ def solve(
         step = -inverse @ residuals
         if np.abs(step).max() < CONVERGED_STEP:
             final = jacobian(campaign, chain, model, values)[:, chosen]
-            return Solution(tuple(chosen), values, residuals, final)
+            return LeastSquaresFit(tuple(chosen), values, residuals, final)
         values = values.copy()
         values[chosen] += model.units[chosen] * step
         if not np.abs((values - model.values) / model.units).max() < 1.0:

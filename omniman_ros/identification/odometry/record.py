@@ -11,7 +11,7 @@ from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build, flatten
 from omniman_ros.core.robot import Wheels
-from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Pose, Run
+from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun, Campaign, Pose
 from omniman_ros.identification.record_file import load_record, save_record
 
 FORMAT = "omniman odometry runs 1"  #: Name and version of the file format
@@ -38,7 +38,7 @@ class OdometryRecord:
     wheels: Wheels  #: The wheels as configured, without calibration
     odometry: OdometryParameters  #: Parameters in force while the runs were driven
     accuracy: Accuracy  #: Accuracy of the measured poses
-    runs: tuple[Run, ...] = ()  #: Runs, see :class:`Campaign`
+    runs: tuple[CalibrationRun, ...] = ()  #: Runs, see :class:`Campaign`
     poses: tuple[Pose | None, ...] = ()  #: Measured poses, see :class:`Campaign`
     check: CheckDrive | None = None  #: The drive along the check path, if there was one
 
@@ -47,7 +47,7 @@ class OdometryRecord:
         """The runs to fit; too few measured poses raise an InputError."""
         return Campaign(self.wheels, self.runs, self.poses, self.accuracy)
 
-    def with_run(self, run: Run, pose: Pose | None) -> "OdometryRecord":
+    def with_run(self, run: CalibrationRun, pose: Pose | None) -> "OdometryRecord":
         """Return the record with one more run and the measured pose after it."""
         return replace(self, runs=(*self.runs, run), poses=(*self.poses, pose))
 
@@ -100,7 +100,9 @@ def _parse(tree: Mapping[str, Any]) -> OdometryRecord:
         wheels=build(Wheels, tree["wheels"]),
         odometry=build(OdometryParameters, tree["odometry"]),
         accuracy=Accuracy(*map(float, tree["accuracy"])),
-        runs=tuple(Run(str(run["name"]), _matrix(run["positions"])) for run in tree["runs"]),
+        runs=tuple(
+            CalibrationRun(str(run["name"]), _matrix(run["positions"])) for run in tree["runs"]
+        ),
         poses=(_pose(tree["start"]), *(_pose(run["pose"]) for run in tree["runs"])),
         check=None if check is None else _check_drive(check),
     )

@@ -30,12 +30,12 @@ from omniman_ros.console.session import DISCOVERY_TIMEOUT
 from omniman_ros.console.terminal import say
 from omniman_ros.conversions.poses import pose_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
-from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.lab.bench.harness import (
     LENIENT,
+    BenchmarkTable,
     Figure,
     RunningNodes,
-    Table,
     at_most,
     conclude,
     running_nodes,
@@ -54,7 +54,7 @@ from omniman_ros.ur.parameters import PERIOD
 AIM_RATIO = 1.5  #: largest median of all pairs' ratios of the p99 send intervals
 LATE = (0.012, 0.020)  #: intervals above which sends are counted as late [s]
 PAUSE = 0.5  #: between two blocks, in which the last reports on the previous one arrive [s]
-MIN_REPORTED_SHARE = 0.5  #: of a block's intervals, within the block
+MIN_REPORTED_FRACTION = 0.5  #: of a block's intervals, within the block
 BARE_TIMEOUT = 20.0  #: longest time that starting and ending the bare loop take [s]
 UNNEEDED_NODES = ("joint_states_merger", "viewer")
 HARDWARE_NODES = ("simulated_drive", "simulated_ur")  #: real hardware has CPUs of its own
@@ -72,7 +72,7 @@ GOAL_PERIOD, GOAL_TIMEOUT = 1.0, 20.0  #: shortest and longest time between two 
 PREVIEW_TIMEOUT = 0.3  #: without a preview, after which the arm's trajectory has ended [s]
 
 
-class Load:
+class ArmBenchmarkLoad:
     """Keeps platform, planner and arm moving, and collects the timing of the arm's setpoints."""
 
     def __init__(self, nodes: RunningNodes) -> None:
@@ -85,7 +85,7 @@ class Load:
         self._state = ""
         self._arm_commanded = self._goal_sent = -math.inf
         still, radii = np.zeros((len(OBSTACLES), 2)), np.full(len(OBSTACLES), OBSTACLE_RADIUS)
-        self._surroundings = MovingObstacles(0.0, np.array(OBSTACLES), still, radii)
+        self._surroundings = DemoObstacles(0.0, np.array(OBSTACLES), still, radii)
         node = self._session.node
         publish, subscribe = node.create_publisher, node.create_subscription
         self._goals = publish(PoseStamped, "goal_pose", 10)
@@ -205,7 +205,7 @@ def robot(args: argparse.Namespace) -> list[ProcessSpec]:
     return tasks
 
 
-def bare_block(load: Load, seconds: float, priority: int) -> tuple[list[float], str]:
+def bare_block(load: ArmBenchmarkLoad, seconds: float, priority: int) -> tuple[list[float], str]:
     """Run the bare loop under the load; return its intervals [s] and its scheduling class."""
     command = node_command("omniman_ros.lab.bench.arm_bare", (f"{seconds}", f"{priority}"))
     # Like each node, it leads a session, by which the kernel may group processes.
@@ -223,7 +223,7 @@ def bare_block(load: Load, seconds: float, priority: int) -> tuple[list[float], 
 
 
 def measure(
-    nodes: RunningNodes, load: Load, priority: int, pairs: int, seconds: float
+    nodes: RunningNodes, load: ArmBenchmarkLoad, priority: int, pairs: int, seconds: float
 ) -> dict[str, Any]:
     """Measure the streaming process and the bare loop in alternating blocks of a duration [s].
 
@@ -244,7 +244,7 @@ def measure(
     def measure_streamer() -> None:
         load.timing = {"intervals": [], "ages": []}
         load.run(seconds)
-        if len(load.timing["intervals"]) < MIN_REPORTED_SHARE * seconds / PERIOD:
+        if len(load.timing["intervals"]) < MIN_REPORTED_FRACTION * seconds / PERIOD:
             raise CommandError(f"too few send intervals in {seconds:g} s")
         sides["streamer"].append(list(load.timing["intervals"]))
         ages.extend(load.timing["ages"])
@@ -260,12 +260,12 @@ def measure(
             load.run(PAUSE)
             block()
     wall, last = time.monotonic() - started, load.controller
-    shares = {name: (cpu_time(pid) - used[name]) / wall for name, pid in pids.items()}
+    fractions = {name: (cpu_time(pid) - used[name]) / wall for name, pid in pids.items()}
     load.until(lambda: load.controller is not last, 5.0, "no diagnostics of simulated_ur")
     return {
         "scheduling": ours,
         **figures(sides, ages),
-        "cpu_share": shares,
+        "cpu_share": fractions,
         "read_timeouts": ended_programs(load.controller) - ended_programs(before),
     }
 
@@ -304,11 +304,11 @@ def run(args: argparse.Namespace) -> int:
     result |= {"block_s": seconds, "priority": args.priority}
     with running_nodes(robot(args)) as nodes:
         say(f"{pairs} pairs of blocks of {seconds:g} s ...")
-        result |= measure(nodes, Load(nodes), args.priority, pairs, seconds)
+        result |= measure(nodes, ArmBenchmarkLoad(nodes), args.priority, pairs, seconds)
     return conclude("arm", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     both = result["streamer"], result["bare"]
     rows = []
@@ -318,7 +318,7 @@ def report(result: Mapping[str, Any]) -> list[Table]:
     for k, bound in enumerate(LATE):
         counts = [f"{side['late'][k]} of {side['count']}" for side in both]
         rows.append(Figure(f"  above {1e3 * bound:g} ms", counts))
-    ratios, share, age = result["pair_ratios"], result["cpu_share"], result["age"]
+    ratios, fraction, age = result["pair_ratios"], result["cpu_share"], result["age"]
     about = f"ratio of the p99 intervals, median of {len(ratios)} pairs"
     ratio = at_most(about, result["ratio"], AIM_RATIO)
     spread = f"({min(ratios):.2f} to {max(ratios):.2f})"
@@ -327,6 +327,6 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         value = f"{age[f'{key}_ms']:.2f} ms"
         rows.append(Figure(f"setpoint age at the feedback, {key}", (value,)))
     for name, about in (("streaming", "streaming process"), ("node", "node")):
-        rows.append(Figure(f"share of a core, {about}", (f"{share[name]:.1%}",)))
+        rows.append(Figure(f"share of a core, {about}", (f"{fraction[name]:.1%}",)))
     rows.append(at_most("read time-outs on the UR controller", result["read_timeouts"], 0))
-    return [Table((f"arm_streamer, {result['scheduling']}", "bare loop"), rows)]
+    return [BenchmarkTable((f"arm_streamer, {result['scheduling']}", "bare loop"), rows)]

@@ -15,8 +15,8 @@ from typing import Any
 import can
 import numpy as np
 
-from omniman_ros.can_drives.drives import Phase
-from omniman_ros.can_drives.frame import Frame, bus_load
+from omniman_ros.can_drives.drives import CanDrivesPhase
+from omniman_ros.can_drives.frame import CanFrame, bus_load
 from omniman_ros.can_drives.link import CanLink
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
@@ -25,7 +25,7 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.bench.can_drives import COUNTS, open_bus
-from omniman_ros.lab.bench.harness import Table, at_most, conclude
+from omniman_ros.lab.bench.harness import BenchmarkTable, at_most, conclude
 from omniman_ros.lab.measurement import cpu_time, spread_ms
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
@@ -85,23 +85,25 @@ class Bridge:
         self._period, self._check = 1.0 / rate, check
         self._link = CanLink(robot, parameters, time.monotonic)
         self._drives = self._link.drives
-        self.frames: list[Frame] = []  #: frames of a period: commands and answers
+        self.frames: list[CanFrame] = []  #: frames of a period: commands and answers
         self._command = WheelCommand(DriveMode.VELOCITY, np.zeros(WHEELS), np.ones(WHEELS))
         self._bare = open_bus(port)
         self._bring_up()
 
     def _bring_up(self) -> None:
         drives, end = self._drives, time.monotonic() + START_TIMEOUT
-        while drives.phase is not Phase.DRIVING:
+        while drives.phase is not CanDrivesPhase.DRIVING:
             self._check()
             if time.monotonic() > end:
                 raise CommandError(f"the drives are not ready: {drives.stop_reason}")
-            if drives.phase is Phase.UNCONFIGURED:
+            if drives.phase is CanDrivesPhase.UNCONFIGURED:
                 drives.configure(time.monotonic())
-                self._link.run_until(lambda: drives.phase is not Phase.CONFIGURING, START_TIMEOUT)
-            elif drives.phase is Phase.IDLE:
+                self._link.run_until(
+                    lambda: drives.phase is not CanDrivesPhase.CONFIGURING, START_TIMEOUT
+                )
+            elif drives.phase is CanDrivesPhase.IDLE:
                 drives.enable(time.monotonic())
-            self._link.run_until(lambda: drives.phase is not Phase.ENABLING, 1.0)
+            self._link.run_until(lambda: drives.phase is not CanDrivesPhase.ENABLING, 1.0)
 
     def block(self, periods: int, measured: Side) -> None:
         """Run periods of the bridge: one command each, until all drives have answered."""
@@ -160,16 +162,16 @@ class Bridge:
         while self._bare.recv(0.0) is not None:
             pass
 
-    def _bare_trip(self, frames: list[Frame], due: float) -> bool:
+    def _bare_trip(self, frames: list[CanFrame], due: float) -> bool:
         for frame in frames:
             self._bare.send(can.Message(0.0, frame.id, False, data=frame.data))
-        answers: list[Frame] = []
+        answers: list[CanFrame] = []
         while len(answers) < len(ANSWERS) * WHEELS:
             message = self._bare.recv(max(due - time.monotonic(), 0.0))
             if message is None:
                 return False
             if message.arbitration_id & 0x780 in ANSWERS:
-                answers.append(Frame(message.arbitration_id, bytes(message.data)))
+                answers.append(CanFrame(message.arbitration_id, bytes(message.data)))
         self.frames = [*frames, *answers]
         return True
 
@@ -216,7 +218,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("can", result, report(result), args.results)
 
 
-def report(result: dict[str, Any]) -> list[Table]:
+def report(result: dict[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = []
     for case in result["cases"]:
@@ -229,4 +231,4 @@ def report(result: dict[str, Any]) -> list[Table]:
         values = (*times, *ratio.values, f"{both[0]['lost_share']:.1%}", cpu, load)
         rows.append(ratio._replace(values=values))
     titles = ("bridge p50 / p99", "python-can", "ratio", "lost", "CPU of both", "load 500k / 1M")
-    return [Table(titles, rows)]
+    return [BenchmarkTable(titles, rows)]

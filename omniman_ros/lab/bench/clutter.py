@@ -29,8 +29,8 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
     Figure,
-    Table,
     at_least,
     at_most,
     conclude,
@@ -289,7 +289,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("clutter", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = []
     for name, each in result["drives"].items():
@@ -310,4 +310,4 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         at_most("mean time", found["mean_time_s"] or math.inf, TIME_AIM, "{:.2f} s"),
     ]
     titles = ("reached", "contacts", "score", "mean time", "CPU of a cycle: median, p99, max")
-    return [Table(titles, rows), Table(("value",), aimed)]
+    return [BenchmarkTable(titles, rows), BenchmarkTable(("value",), aimed)]

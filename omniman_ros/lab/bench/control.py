@@ -28,9 +28,9 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
 from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
     Figure,
     RunningNodes,
-    Table,
     at_most,
     conclude,
     running_nodes,
@@ -44,7 +44,8 @@ from omniman_ros.robots import load_robot
 
 AIM_TICK = 100.0  #: aim: largest CPU time of a tick of the controller's core, four wheels [us]
 AIM_RATIO = 1.3  #: aim: largest ratio of the controller's median latency to the relay's
-AIM_SHARE = 1.0 / 3.0  #: aim: largest share of one core that platform_controller uses at 200 Hz
+#: aim: largest fraction of one core that platform_controller uses at 200 Hz
+AIM_CPU_FRACTION = 1.0 / 3.0
 WARM_UP_TICKS = 200  #: number of ticks of the core that run before the measurement
 SPEED_STEP = 0.002  #: step of the velocity, small so that the robot is soon at rest again [m/s]
 REST: Triple = (0.0, 0.0, 0.0)  #: twist that commands rest [m/s, m/s, rad/s]
@@ -52,7 +53,7 @@ STEP_TIMEOUT = 2.0  #: longest time until the wheels react to a step [s]
 WARM_UP_PERIOD = 0.1  #: period of the twists until the node reacts for the first time [s]
 
 
-class Effort(NamedTuple):
+class ControlBenchmarkSize(NamedTuple):
     """Extent of the measurement."""
 
     blocks: int  #: number of blocks of core ticks
@@ -62,7 +63,10 @@ class Effort(NamedTuple):
     block: int  #: number of latencies of one node before the other node's turn
 
 
-FULL, QUICK = Effort(21, 1000, 15.0, 300, 25), Effort(3, 200, 2.0, 20, 10)
+FULL, QUICK = (
+    ControlBenchmarkSize(21, 1000, 15.0, 300, 25),
+    ControlBenchmarkSize(3, 200, 2.0, 20, 10),
+)
 
 
 def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
@@ -159,8 +163,8 @@ class CommandPath:
         self._come_to_rest()
 
 
-def measure(nodes: RunningNodes, effort: Effort) -> dict[str, Any]:
-    """Measure latencies in alternating blocks of both nodes, then the shares of a core."""
+def measure(nodes: RunningNodes, effort: ControlBenchmarkSize) -> dict[str, Any]:
+    """Measure latencies in alternating blocks of both nodes, then the fractions of a core."""
     ours, relay = CommandPath(nodes, "platform_controller"), CommandPath(nodes, "relay", "relay/")
     say(f"latency, {effort.samples} samples each ...")
     draw = random.Random(1)
@@ -177,11 +181,11 @@ def measure(nodes: RunningNodes, effort: Effort) -> dict[str, Any]:
         ours.send((0.3 * math.cos(t), 0.3 * math.sin(t), 0.3 * math.sin(0.7 * t)))
 
     names = ("platform_controller", "simulated_drive")
-    shares = nodes.cpu_shares(names, effort.cpu_seconds, drive)
+    fractions = nodes.cpu_fractions(names, effort.cpu_seconds, drive)
     latency = {path.name: spread_ms(path.latencies) for path in (ours, relay)}
     return {
-        "cpu_share": shares,
-        "node_tick_us": 1e6 * shares["platform_controller"] / RATE,
+        "cpu_share": fractions,
+        "node_tick_us": 1e6 * fractions["platform_controller"] / RATE,
         "latency": latency,
         "latency_ratio": latency[ours.name]["median_ms"] / latency[relay.name]["median_ms"],
     }
@@ -201,7 +205,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("control", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     figures = [
         at_most(f"core tick, {mode} mode", taken, AIM_TICK, "{:.1f} us")
@@ -210,11 +214,16 @@ def report(result: Mapping[str, Any]) -> list[Table]:
     for name, path in result["latency"].items():
         times = f"{path['median_ms']:.2f} ms", f"{path['p99_ms']:.2f} ms"
         figures.append(Figure(f"cmd_vel to wheel_commands, {name}", times))
-    shares, about = result["cpu_share"], "share of a core, {}".format
+    fractions, about = result["cpu_share"], "share of a core, {}".format
     figures += [
         at_most("ratio of the median latencies", result["latency_ratio"], AIM_RATIO, "{:.3f}"),
-        at_most(about("platform_controller"), shares["platform_controller"], AIM_SHARE, "{:.1%}"),
-        Figure(about("simulated_drive"), (f"{shares['simulated_drive']:.1%}",)),
+        at_most(
+            about("platform_controller"),
+            fractions["platform_controller"],
+            AIM_CPU_FRACTION,
+            "{:.1%}",
+        ),
+        Figure(about("simulated_drive"), (f"{fractions['simulated_drive']:.1%}",)),
         Figure("CPU time of a node tick", (f"{result['node_tick_us']:.0f} us",)),
     ]
-    return [Table(("median", "p99"), figures)]
+    return [BenchmarkTable(("median", "p99"), figures)]

@@ -20,8 +20,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
     Figure,
-    Table,
     at_most,
     conclude,
     cycle_figures,
@@ -194,7 +194,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("crowd", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = [
         Figure("goals per minute", (f"{result['goals_per_minute']:.1f}",)),
@@ -203,4 +203,4 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         Figure("CPU of a cycle: median, p99, max", (spread_text(result["cycle"]),)),
         at_most("p99 of a cycle's CPU time", result["cycle"]["p99_ms"], P99_AIM, "{:.0f} ms"),
     ]
-    return [Table(("value",), rows)]
+    return [BenchmarkTable(("value",), rows)]

@@ -14,7 +14,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import RED, paint, say
 from omniman_ros.lab.bench.harness import Rows, tables
-from omniman_ros.lab.faults.judge import UNKNOWN, Stop
+from omniman_ros.lab.faults.judge import UNKNOWN, StopMeasurement
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import Row
 from omniman_ros.lab.faults.running_robot import RunningRobot
@@ -150,7 +150,7 @@ def row_figures(row: Row, trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def _latest_reaction(stops: Sequence[Stop], row: Row) -> float | None:
+def _latest_reaction(stops: Sequence[StopMeasurement], row: Row) -> float | None:
     """Return the latest reaction after the evidence [s]; None if nothing has to react."""
     return max((max(stop.reaction - row.unnoticed, 0.0) for stop in stops), default=None)
 

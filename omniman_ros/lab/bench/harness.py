@@ -16,7 +16,7 @@ from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say, table
-from omniman_ros.lab.measurement import SINGLE_THREADED, cpu_shares, spread_ms
+from omniman_ros.lab.measurement import SINGLE_THREADED, cpu_fractions, spread_ms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
@@ -68,7 +68,7 @@ def at_least(about: str, value: float | None, aim: float, text: str = "{:.3g}") 
     )
 
 
-class Table(NamedTuple):
+class BenchmarkTable(NamedTuple):
     """A table of a report, with the titles of the columns of values."""
 
     titles: Sequence[str]
@@ -110,15 +110,15 @@ class RunningNodes:
                 feed(now)
             self.session.spin(POLL_PERIOD)
 
-    def cpu_shares(
+    def cpu_fractions(
         self,
         names: Sequence[str],
         seconds: float,
         feed: Callable[[float], None] | None = None,
     ) -> dict[str, float]:
-        """Return the share of one core that each node uses while callbacks are served, by node."""
+        """Return the load of a core by each node while callbacks are served, by node."""
         pids = {name: self.children.pid(name) for name in names}
-        return cpu_shares(pids, lambda: self.serve(seconds, feed))
+        return cpu_fractions(pids, lambda: self.serve(seconds, feed))
 
 
 @contextlib.contextmanager
@@ -146,12 +146,12 @@ def in_processes(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], jobs:
         return [each.result() for each in [pool.submit(work, *task) for task in tasks]]
 
 
-def cpu_share_figures(share: Mapping[str, Any], idle: str) -> list[Figure]:
-    """Return a row for each node: the share of a core that it uses driving, and idle."""
+def cpu_share_figures(fraction: Mapping[str, Any], idle: str) -> list[Figure]:
+    """Return a row for each node: the fraction of a core that it uses driving, and idle."""
     return [
         Figure(f"share of a core, {name}", (f"{driving:.1%}", f"{other:.1%} {idle}"))
         for (name, driving), other in zip(
-            share["driving"].items(), share["idle"].values(), strict=True
+            fraction["driving"].items(), fraction["idle"].values(), strict=True
         )
     ]
 
@@ -177,12 +177,12 @@ def tables(*each: Rows) -> list[str]:
     return lines
 
 
-def aims(report: Sequence[Table]) -> dict[str, bool | None]:
+def aims(report: Sequence[BenchmarkTable]) -> dict[str, bool | None]:
     """Return whether the aims of a report are met, by quantity."""
     return {row.about: row.met for part in report for row in part.figures if row.aim}
 
 
-def lines(report: Sequence[Table]) -> list[str]:
+def lines(report: Sequence[BenchmarkTable]) -> list[str]:
     """Return the lines of a report."""
     parts = []
     for titles, figures in report:
@@ -196,7 +196,9 @@ def lines(report: Sequence[Table]) -> list[str]:
     return tables(*parts)
 
 
-def conclude(name: str, result: dict[str, Any], report: Sequence[Table], folder: str) -> int:
+def conclude(
+    name: str, result: dict[str, Any], report: Sequence[BenchmarkTable], folder: str
+) -> int:
     """Print a report, and publish its result as JSON; return 0, the exit code."""
     result["aims"] = aims(report)
     say("\n".join(lines(report)))

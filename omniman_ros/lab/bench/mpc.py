@@ -14,7 +14,14 @@ import numpy as np
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
-from omniman_ros.lab.bench.harness import Figure, Table, at_least, at_most, conclude, in_processes
+from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
+    Figure,
+    at_least,
+    at_most,
+    conclude,
+    in_processes,
+)
 from omniman_ros.lab.measurement import spread_ms
 from omniman_ros.robots import load_robot
 
@@ -32,7 +39,7 @@ STEPS_PER_SCENE = 60  #: steps of a full drive, and most timed steps of a scene
 REACHED_DISTANCE = 0.03  #: from the goal, where the problem becomes trivial [m]
 
 
-class Effort(NamedTuple):
+class MpcBenchmarkSize(NamedTuple):
     """Extent of the measurement."""
 
     cases: Sequence[str]  #: cases in which the solver runs alone; beside IPOPT, the main one
@@ -42,9 +49,9 @@ class Effort(NamedTuple):
     drive: int  #: number of steps of a drive
 
 
-QUICK = Effort((MAIN, LONGER), 12, (MAIN,), 1, 10)
-STANDARD = Effort(tuple(CASES), 200, (MAIN,), 14, 40)
-FULL = Effort(tuple(CASES), 200, (MAIN, LONGER), 40, STEPS_PER_SCENE)
+QUICK = MpcBenchmarkSize((MAIN, LONGER), 12, (MAIN,), 1, 10)
+STANDARD = MpcBenchmarkSize(tuple(CASES), 200, (MAIN,), 14, 40)
+FULL = MpcBenchmarkSize(tuple(CASES), 200, (MAIN, LONGER), 40, STEPS_PER_SCENE)
 
 
 def measure_steps(rig: "Rig", count: int, beside: bool) -> dict[str, Any]:
@@ -120,7 +127,7 @@ def drive_statistics(rows: Sequence[tuple[float, bool]]) -> dict[str, Any]:
     }
 
 
-def measure(robot: str, effort: Effort) -> dict[str, Any]:
+def measure(robot: str, effort: MpcBenchmarkSize) -> dict[str, Any]:
     """Measure all cases and drives in this process."""
     from omniman_ros.lab.bench.mpc_rig import Rig
 
@@ -149,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("mpc", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     times = []
     for group, text in (("alone", ""), ("beside", ", beside IPOPT")):
@@ -178,4 +185,7 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         rows.append(at_most(text, loop["median_ratio"], AIM_COST))
         text = f"  other sides in {loop['scenes'] - loop['same_sides']}: cheaper than IPOPT"
         rows.append(Figure(text, (str(loop["other_sides_better"]),)))
-    return [Table(("median [ms]", "p99", "max", "failed"), times), Table(("value",), rows)]
+    return [
+        BenchmarkTable(("median [ms]", "p99", "max", "failed"), times),
+        BenchmarkTable(("value",), rows),
+    ]

@@ -17,7 +17,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.quadratic_program import SolverError
@@ -41,7 +41,7 @@ NOISE = (0.002, 0.002, 0.002, 0.01, 0.01, 0.01)
 STEP = 0.1  #: duration of a step of the horizon, and of a step of a drive [s]
 
 
-class Scene(NamedTuple):
+class MpcScene(NamedTuple):
     """A random scene."""
 
     seed: int
@@ -75,7 +75,7 @@ class Step(NamedTuple):
     solver_time: float  #: duration of the solver's call alone [s]
 
 
-def draw_scene(seed: int, count: int, half: Array) -> Scene:
+def draw_scene(seed: int, count: int, half: Array) -> MpcScene:
     """Return a random scene of `count` obstacles for a robot with half its size (2,) [m]."""
     random = np.random.default_rng([seed, count])
     bearing, distance = random.uniform(-math.pi, math.pi), random.uniform(*DISTANCE)
@@ -100,7 +100,7 @@ def draw_scene(seed: int, count: int, half: Array) -> Scene:
     ellipses = Ellipses(0.0, centers, velocities, semi_axes, angles, np.zeros(count))
     low = places[:, :2].min(axis=0) - WORKSPACE_MARGIN
     high = places[:, :2].max(axis=0) + WORKSPACE_MARGIN
-    return Scene(seed, start, goal, ellipses, Workspace(*low.tolist(), *high.tolist()))
+    return MpcScene(seed, start, goal, ellipses, Workspace(*low.tolist(), *high.tolist()))
 
 
 class Rig:
@@ -113,7 +113,7 @@ class Rig:
         self.transcription = Transcription(self._model, steps, STEP, obstacles)
         self._solver = Solver(self.transcription)
 
-    def scene(self, seed: int) -> Scene:
+    def scene(self, seed: int) -> MpcScene:
         """Return a random scene with as many obstacles as the problem has."""
         return draw_scene(seed, self.transcription.slots, self._model.half)
 
@@ -127,7 +127,7 @@ class Rig:
         return solution.currents, True
 
     def steps(
-        self, scene: Scene, plan: Plan, count: int, clock: Callable[[], float]
+        self, scene: MpcScene, plan: Plan, count: int, clock: Callable[[], float]
     ) -> Iterator[Step]:
         """Yield the steps of a drive through a scene.
 
@@ -144,7 +144,7 @@ class Rig:
             begin = clock()
             guess = solver.shifted(currents, STEP) if k else currents
             states = solver.states(x, guess)
-            expected = Motion.of_states(k * STEP, STEP, states, guess)
+            expected = HermiteTrajectory.of_states(k * STEP, STEP, states, guess)
             stage = problem.stage(x, expected, goal, pairs, t.slots)
             task = Task(k == 0, x, guess, states, stage)
             between = clock()
@@ -153,7 +153,7 @@ class Rig:
             yield Step(task, currents, solved, end - begin, end - between)
             x = np.asarray(t.transition(x, currents[0])).ravel() + noise
 
-    def drive(self, scene: Scene, plan: Plan, count: int) -> tuple[float, Array]:
+    def drive(self, scene: MpcScene, plan: Plan, count: int) -> tuple[float, Array]:
         """Drive through a scene for a number of steps.
 
         The result is the cost [J] of all stages and slacks, with the terminal cost of the last

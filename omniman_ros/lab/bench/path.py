@@ -15,8 +15,8 @@ from omniman_ros.conversions.poses import path_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
     Figure,
-    Table,
     conclude,
     cpu_share_figures,
     running_nodes,
@@ -83,18 +83,18 @@ def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
 
 
 def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
-    """Measure the share of a core that the running nodes use, idle and while following a path."""
+    """Measure the load of a core by the running nodes, idle and while following a path."""
     with running_nodes(robot_processes(RobotSetup(robot=args.robot, only=NODES))) as nodes:
         progress = nodes.received(Float64, "path_progress")
         publisher = nodes.session.node.create_publisher(Path, "path", 10)
         missing = "no path_interpolator"
         nodes.wait(lambda: publisher.get_subscription_count() > 0, DISCOVERY_TIMEOUT, missing)
         nodes.session.spin(DISCOVERY_AMONG_NODES)
-        idle = nodes.cpu_shares(NODES, seconds)
+        idle = nodes.cpu_fractions(NODES, seconds)
         publisher.publish(path_message(spiral(1000), "odom"))
         begun = lambda: any(message.data > 0.0 for message in progress)  # noqa: E731
         nodes.wait(begun, DISCOVERY_TIMEOUT, "no path_progress")
-        driving = nodes.cpu_shares(NODES, seconds)
+        driving = nodes.cpu_fractions(NODES, seconds)
     ours = driving["path_interpolator"]
     return {"idle": idle, "driving": driving, "cpu_per_tick_us": 1e6 * TICK * ours}
 
@@ -112,7 +112,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("path", result, report(result), args.results)
 
 
-def report(result: dict[str, Any]) -> list[Table]:
+def report(result: dict[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = []
     for count, row in result["planning"].items():
@@ -121,8 +121,8 @@ def report(result: dict[str, Any]) -> list[Table]:
         rows.append(Figure(planning, (f"{row['planning_ms']:.1f} ms", plain)))
         ratio = f"{row['duration_ratio']:.3f} of the optimum without jerk limits"
         rows.append(Figure("  duration", (f"{row['duration_s']:.2f} s", ratio)))
-    share = result["cpu_share"]
-    rows += cpu_share_figures(share, "idle")
-    tick = f"{share['cpu_per_tick_us']:.0f} us"
+    fraction = result["cpu_share"]
+    rows += cpu_share_figures(fraction, "idle")
+    tick = f"{fraction['cpu_per_tick_us']:.0f} us"
     rows.append(Figure("CPU time per streamed tick of 8 ms", (tick,)))
-    return [Table(("value", "compared with"), rows)]
+    return [BenchmarkTable(("value", "compared with"), rows)]

@@ -44,7 +44,7 @@ MEMORY_GROWTH = 20.0  #: aim: largest growth of the memory of a process [MiB per
 COUNT_GROWTH = 8  #: aim: largest growth of the number of descriptors or threads of a process
 
 
-class Watch:
+class SoakWatch:
     """Collects what must hold all the while, from ground truth and from the processes."""
 
     def __init__(
@@ -168,7 +168,7 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
         robot = RunningRobot(session, setup, LEFT_OUT, log)
         with redirect_signals(robot.interrupt), robot.processes:
             activities = Activities(Player(robot), seed)
-            watch = Watch(robot, activities, half_size, limit)
+            watch = SoakWatch(robot, activities, half_size, limit)
             robot.follow_clock()
             if not robot.release(READY_TIMEOUT):
                 log.show()
@@ -184,7 +184,7 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
             return {**watch.figures(), "driven_min": driven, "activities": counts, "stuck": stuck}
 
 
-def drive(robot: RunningRobot, activities: Activities, watch: Watch, end: float) -> str:
+def drive(robot: RunningRobot, activities: Activities, watch: SoakWatch, end: float) -> str:
     """Perform activities until a time [s]; return why that could not go on, or an empty string."""
     while robot.session.now() < end:
         try:

@@ -22,7 +22,14 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.extras import TRACKING, WORLD
-from omniman_ros.lab.bench.harness import Figure, Table, at_least, at_most, conclude, spread_text
+from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
+    Figure,
+    at_least,
+    at_most,
+    conclude,
+    spread_text,
+)
 from omniman_ros.lab.bench.scans import new_tracker, scan_of
 from omniman_ros.lab.bench.tracking_judge import TrackingJudge
 from omniman_ros.lab.measurement import spread_ms
@@ -52,9 +59,9 @@ SECONDS = 30.0  #: simulated duration of a scene [s]
 VELOCITY_AIM = (
     0.1  #: aim: largest RMS error of the velocity from 0.5 s after the first sight [m/s]
 )
-FALSE_AIM = 0.01  #: aim: largest share of standing things reported as moving for over 0.5 s
-IDENTITY_AIM = 0.95  #: aim: least share of crossings after which the identity is the same
-CPU_AIM = 0.25  #: aim: largest share of a core for 720 beams at 20 Hz with 20 people
+FALSE_AIM = 0.01  #: aim: largest fraction of standing things reported as moving for over 0.5 s
+IDENTITY_AIM = 0.95  #: aim: least fraction of crossings after which the identity is the same
+CPU_AIM = 0.25  #: aim: largest fraction of a core for 720 beams at 20 Hz with 20 people
 HALF = 5.0  #: half edge of the square room [m]
 RADIUS = 0.25  #: radius of a person [m]
 SPACE = 1.3  #: distance of what stands from the robot's place and from each other [m]
@@ -65,7 +72,7 @@ WIDE = 4.71  #: field of view of the scanner [rad]: 270 degrees
 
 
 @dataclass(frozen=True)
-class Case:
+class TrackerCase:
     """A scene, and whether the robot drives in it."""
 
     seed: int  #: of all random choices
@@ -79,14 +86,14 @@ class Case:
 
 
 @dataclass
-class Run:
+class TrackerRun:
     """What a case has shown."""
 
     judge: TrackingJudge
     cpu: list[float] = field(default_factory=list)  #: CPU time of each scan [s]
 
 
-def tracking_scene(case: Case) -> Scene:
+def tracking_scene(case: TrackerCase) -> Scene:
     """Return the room of a case: walls, posts, a table, a crate, and persons on random ways.
 
     Each person walks at an own speed through way points, and stands for up to 2 s at some.
@@ -135,7 +142,7 @@ def tracking_scene(case: Case) -> Scene:
     )
 
 
-def run_case(case: Case, robot: Mapping[str, Any], seconds: float) -> Run:
+def run_case(case: TrackerCase, robot: Mapping[str, Any], seconds: float) -> TrackerRun:
     """Let people walk around a robot, and track them by its scans."""
     # The command line must do without the engine.
     from omniman_ros.simulation.world.scanner import Scanner
@@ -153,7 +160,7 @@ def run_case(case: Case, robot: Mapping[str, Any], seconds: float) -> Run:
     scanner, tracker = Scanner(world, mounting, case.seed), new_tracker()
     own = BodyOutline(description).footprint(np.zeros((1, 6)), 0.05)
     standing = len(scene.walls) + len(scene.posts) + 4 * len(scene.tables) + len(scene.crates)
-    run = Run(TrackingJudge(standing))
+    run = TrackerRun(TrackingJudge(standing))
     drives.advance(0.0)
     for tick in range(1, round(seconds / TICK) + 1):
         now = tick * TICK
@@ -178,7 +185,7 @@ def run_case(case: Case, robot: Mapping[str, Any], seconds: float) -> Run:
     return run
 
 
-def figures(runs: Sequence[Run]) -> dict[str, Any]:
+def figures(runs: Sequence[TrackerRun]) -> dict[str, Any]:
     """Return the figures of cases."""
     judges = [run.judge for run in runs]
     walking = [error for judge in judges for error in judge.walking_errors]
@@ -213,9 +220,9 @@ def run(args: argparse.Namespace) -> int:
     scenes, seconds = (2, 10.0) if args.quick else (SCENES, SECONDS)
     sudden = range(max(1, round(scenes * SUDDEN_SHARE)))
     groups = {
-        "people": [Case(seed) for seed in range(scenes)],
-        "sudden": [Case(seed, behaviour=SCRIPTED) for seed in sudden],
-        "crowd": [Case(100, CROWD)],
+        "people": [TrackerCase(seed) for seed in range(scenes)],
+        "sudden": [TrackerCase(seed, behaviour=SCRIPTED) for seed in sudden],
+        "crowd": [TrackerCase(100, CROWD)],
     }
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
     for name, cases in groups.items():
@@ -223,7 +230,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("tracker", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     people, sudden, crowd = result["people"], result["sudden"], result["crowd"]
     rows = [
@@ -234,8 +241,8 @@ def report(result: Mapping[str, Any]) -> list[Table]:
     rows.append(Figure("velocity, RMSE, who give way, while they walk", (walking,)))
     missed = f"{people['walking_missed_share']:.1%}"
     rows.append(Figure("walking and seen, but not reported", (missed,)))
-    shares = people["false_movers"] / people["static_things"], FALSE_AIM
-    rows.append(at_most("standing things reported as moving", *shares, "{:.1%}"))
+    fractions = people["false_movers"] / people["static_things"], FALSE_AIM
+    rows.append(at_most("standing things reported as moving", *fractions, "{:.1%}"))
     kept, of = people["identities_kept"], people["crossings"]
     about = f"identity kept in {of} crossings, who give way"
     rows.append(at_least(about, kept / of if of else None, IDENTITY_AIM, "{:.1%}"))
@@ -244,4 +251,4 @@ def report(result: Mapping[str, Any]) -> list[Table]:
     rows.append(at_most(f"share of a core, {CROWD} people", crowd["cpu_share"], CPU_AIM, "{:.1%}"))
     about = f"CPU of a scan, {CROWD} people: median, p99, max"
     rows.append(Figure(about, (spread_text(crowd["cpu"], 1),)))
-    return [Table(("measured",), rows)]
+    return [BenchmarkTable(("measured",), rows)]

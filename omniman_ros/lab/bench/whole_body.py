@@ -27,8 +27,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench.harness import (
     LENIENT,
+    BenchmarkTable,
     Figure,
-    Table,
     at_most,
     conclude,
     cpu_share_figures,
@@ -104,8 +104,8 @@ def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
     return np.hstack([platform, model.arm_angles(platform, tool, branch, here[3:])])
 
 
-def measure_shares(robot: str, poses: Array, seconds: float) -> dict[str, Any]:
-    """Measure the share of a core that the nodes use, at rest and along a path (k, 4, 4) [m]."""
+def measure_fractions(robot: str, poses: Array, seconds: float) -> dict[str, Any]:
+    """Measure the load of a core by the nodes, at rest and along a path (k, 4, 4) [m]."""
     initial = f"simulated_arm.initial:={[float(angle) for angle in POSTURE]}"
     setup = RobotSetup(robot=robot, only=NODES, params=(initial, *LENIENT))
     path = Path()
@@ -123,13 +123,13 @@ def measure_shares(robot: str, poses: Array, seconds: float) -> dict[str, Any]:
         heard = "no subscriber of tool_path"
         nodes.wait(lambda: paths.get_subscription_count() > 0, DISCOVERY_TIMEOUT, heard)
         nodes.serve(SETTLING_TIME)
-        idle = nodes.cpu_shares(NODES, seconds)
+        idle = nodes.cpu_fractions(NODES, seconds)
         paths.publish(path)
         begun = lambda: bool(progress) and progress[-1].data > 0.0  # noqa: E731
         nodes.wait(begun, 30.0, "the robot did not start on the path")
         nodes.serve(min(SETTLING_TIME, seconds))
         before, begin = len(previews), time.monotonic()
-        driving = nodes.cpu_shares(NODES, seconds)
+        driving = nodes.cpu_fractions(NODES, seconds)
         rate = (len(previews) - before) / (time.monotonic() - begin)
         done = progress[-1].data
         if not rate > 0.0 or done >= 1.0:
@@ -200,11 +200,11 @@ def run(args: argparse.Namespace) -> int:
     say(f"CPU of the nodes, twice {seconds:g} s ...")
     name, count = STREAMED
     poses = tool_poses(model, name, PATH_LENGTHS[count], count)
-    result["cpu_share"] = measure_shares(robot, poses, seconds)
+    result["cpu_share"] = measure_fractions(robot, poses, seconds)
     return conclude("whole_body", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = []
     for label, row in result["planning"].items():
@@ -228,4 +228,4 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         at_most("pose error of the closed form", ours["worst_pose_error"], TOLERANCE),
         Figure("poses for which it finds a solution", (f"{ours['success']:.1%}",)),
     ]
-    return [Table(("value", "compared with"), rows), Table(("value",), exact)]
+    return [BenchmarkTable(("value", "compared with"), rows), BenchmarkTable(("value",), exact)]

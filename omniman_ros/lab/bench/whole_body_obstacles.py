@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.parameters import ToolShape
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.lab.bench.harness import Figure, Table, at_least, at_most, conclude
+from omniman_ros.lab.bench.harness import BenchmarkTable, Figure, at_least, at_most, conclude
 from omniman_ros.lab.measurement import spread_ms
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -32,15 +32,15 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.planning.whole_body.controller import PERIOD
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.platform_path import NoPathError
 from omniman_ros.planning.whole_body.task import BodySetup, WholeBodyTask
-from omniman_ros.planning.whole_body.way import NoWayError
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
-from omniman_ros.simulation.world.distances import PostureDistances, Prism
+from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 
-COMPLETED_AIM = 0.97  #: aim: least share of completed scenes
+COMPLETED_AIM = 0.97  #: aim: least fraction of completed scenes
 TIME_AIM = 1.3  #: aim: largest time relative to the unhindered path
 RMS_AIM, OFF_AIM = 1.0, 3.0  #: aims: largest root mean square and largest error of the tool [mm]
 CPU_AIM = {"median": 10.0, "p99": 20.0, "max": 50.0}  #: aims: largest CPU times of a cycle [ms]
@@ -78,7 +78,7 @@ METHODS = {"dodging": "the body dodges", "waiting": "fixed posture that waits"}
 
 
 @dataclass(frozen=True)
-class Scene:
+class AvoidanceScene:
     """A path of the tool, and what is around it."""
 
     poses: Array  #: poses (k, 4, 4) of `tool0` in odom
@@ -87,21 +87,21 @@ class Scene:
     places: Array  #: (M, 2) where it is at the start [m]
     velocities: Array  #: (M, 2) velocities [m/s]
 
-    def around(self, time: float) -> Hindrances:
+    def around(self, time: float) -> ObstacleSnapshot:
         """Return what is around the robot at a time [s]."""
         places, moves = self.places + time * self.velocities, np.any(self.velocities, axis=1)
-        solids = [
-            UprightSolids.cylinder(x, y, thing.semi_axes[0], thing.heights)
+        obstacles = [
+            UprightObstacles.cylinder(x, y, thing.semi_axes[0], thing.heights)
             for thing, (x, y) in zip(self.things, places.tolist(), strict=True)
         ]
         standing, walking = (
-            UprightSolids.join([solids[k] for k in np.flatnonzero(chosen)])
+            UprightObstacles.join([obstacles[k] for k in np.flatnonzero(chosen)])
             for chosen in (~moves, moves)
         )
-        surroundings = Surroundings(walking, self.velocities[moves].T)
-        return Hindrances(time, standing, surroundings, np.full(int(moves.sum()), GROWTH))
+        surroundings = MovingObstacles(walking, self.velocities[moves].T)
+        return ObstacleSnapshot(time, standing, surroundings, np.full(int(moves.sum()), GROWTH))
 
-    def gap(self, judge: PostureDistances, axes: Array, time: float) -> float:
+    def gap(self, judge: ConfigurationDistances, axes: Array, time: float) -> float:
         """Return the distance of the robot at axes (9,) from everything at a time, up to 1 m."""
         judge.place(axes[:3], axes[3:], self.places + time * self.velocities)
         return float(judge.distances(1.0).min())
@@ -115,16 +115,16 @@ class Bench:
         path = build(PathInterpolatorParameters, values)
         description = build(DescriptionParameters, values)
         limits = WholeBodyLimits.of_whole_body(path.core, path.arm)
-        options = build(DodgeOptions, {})
+        options = build(AvoidanceOptions, {})
         self.setup = BodySetup(description, limits, ToolShape(), None, path.tool_path, options)
         self._model = WholeBodyModel(description.mount)
         self._planner = ToolPlanner(self._model, limits, path.tool_path)
         self._judges = {
-            thing: PostureDistances(description, [thing] * TRIED)
+            thing: ConfigurationDistances(description, [thing] * TRIED)
             for thing in (POST, TABLE, PERSON)
         }
 
-    def scene(self, kind: str, seed: int) -> Scene:
+    def scene(self, kind: str, seed: int) -> AvoidanceScene:
         """Return a scene of a kind, the same for the same seed."""
         rng = np.random.default_rng([list(KINDS).index(kind), seed])
         for _ in range(TRIES):
@@ -139,7 +139,7 @@ class Bench:
             placed = [self._placed(thing, poses, witness, fixed, rng) for thing in KINDS[kind]]
             if None not in placed:
                 places, velocities = map(np.array, zip(*filter(None, placed), strict=True))
-                return Scene(poses, fixed, KINDS[kind], places, velocities)
+                return AvoidanceScene(poses, fixed, KINDS[kind], places, velocities)
         raise CommandError(f"no scene {kind} was found for seed {seed}")
 
     def _path(self, rng: np.random.Generator) -> Array:
@@ -158,8 +158,8 @@ class Bench:
         tool = np.concatenate([self._model.forward(START)[None], poses])
         bends = rng.uniform(-1.0, 1.0, (4, 3)) * BENDS
         bends[0] = 0.0
-        share = np.linspace(0.0, 3.0, len(tool))
-        smooth = share - np.sin(math.tau * share) / math.tau
+        fraction = np.linspace(0.0, 3.0, len(tool))
+        smooth = fraction - np.sin(math.tau * fraction) / math.tau
         platform = np.column_stack([np.interp(smooth, range(4), bend) for bend in bends.T])
         platform[:, :2] += tool[:, :2, 3] - tool[0, :2, 3]
         branch = self._model.arm.branch_of(START[3:])
@@ -213,21 +213,23 @@ class Bench:
     def run(self, kind: str, seed: int) -> dict[str, Any]:
         """Return the figures of a scene."""
         scene = self.scene(kind, seed)
-        judge = PostureDistances(self.setup.description, scene.things)
+        judge = ConfigurationDistances(self.setup.description, scene.things)
         length = float(np.linalg.norm(np.diff(scene.poses[:, :3, 3], axis=0), axis=1).sum())
         limit = SPAN * length / self.setup.path.linear_velocity + SPARE
         figures: dict[str, Any] = {"kind": kind, "seed": seed}
-        for method, drive in (("dodging", self._dodge), ("waiting", self._wait)):
+        for method, drive in (("dodging", self._avoid), ("waiting", self._wait)):
             figures[method] = drive(scene, judge, limit)
         return figures
 
-    def _dodge(self, scene: Scene, judge: PostureDistances, limit: float) -> dict[str, Any]:
+    def _avoid(
+        self, scene: AvoidanceScene, judge: ConfigurationDistances, limit: float
+    ) -> dict[str, Any]:
         """Return the figures of the whole body that dodges."""
         now, cycles, gaps, errors = 0.0, [], [], []
         start = scene.fixed.positions[0]
         try:
             task = WholeBodyTask(self.setup, scene.poses, start, now, scene.around(now))
-        except NoWayError as refusal:
+        except NoPathError as refusal:
             return {"completed": False, "refused": str(refusal), "least_gap_mm": None}
         begin = time.process_time()
         task.search(now, scene.around(now))
@@ -255,7 +257,9 @@ class Bench:
             "cycle": spread_ms(cycles),
         }
 
-    def _wait(self, scene: Scene, judge: PostureDistances, limit: float) -> dict[str, Any]:
+    def _wait(
+        self, scene: AvoidanceScene, judge: ConfigurationDistances, limit: float
+    ) -> dict[str, Any]:
         """Return the figures of a robot that keeps its posture, and stops at once to wait."""
         now, own, gaps, fixed = 0.0, 0.0, [], scene.fixed
         while now < limit and own < fixed.duration:
@@ -303,7 +307,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude("whole_body_obstacles", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     rows = []
     for method, text in METHODS.items():
@@ -327,4 +331,4 @@ def report(result: Mapping[str, Any]) -> list[Table]:
         at_most("CPU of the search", row["search_s"], SEARCH_AIM, "{:.2f} s"),
     ]
     titles = ("completed, no contact", "contacts", "least gap", "time, median")
-    return [Table(titles, rows), Table(("the body dodges",), aimed)]
+    return [BenchmarkTable(titles, rows), BenchmarkTable(("the body dodges",), aimed)]

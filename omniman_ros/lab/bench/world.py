@@ -23,8 +23,8 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.extras import WORLD
 from omniman_ros.lab.bench.harness import (
+    BenchmarkTable,
     Figure,
-    Table,
     at_least,
     at_most,
     conclude,
@@ -43,9 +43,9 @@ SCENE = "corridor"  #: scene of the measurement: a corridor with four persons
 SPEED = 0.3  #: speed at which the robot drives [m/s]
 REVERSAL = 0.5  #: time between two changes of direction [s]
 PERIOD = 0.005  #: period of the commands [s]
-SCAN_RATE = 40.0  #: rate of the scans whose share of a core is computed [Hz]
+SCAN_RATE = 40.0  #: rate of the scans whose fraction of a core is computed [Hz]
 AIMS = {IDEAL: 6.0, ROLLERS: 5.0}  #: least speed over real time, by the kind of wheels
-SCAN_AIM, NODE_AIM = 0.02, 0.3  #: largest shares of a core for the scans, and for the node
+SCAN_AIM, NODE_AIM = 0.02, 0.3  #: largest fractions of a core for the scans, and for the node
 NODE = "simulated_world"  #: the node that is measured
 START_TIMEOUT = 60.0  #: longest time from the start of the nodes to simulated time [s]
 WARM_UP = 4.0  #: simulated time up to the measurement: all nodes run, the robot rests [s]
@@ -111,7 +111,7 @@ def node_shares(robot: str, wheels: str, seconds: float) -> dict[str, float]:
 
         nodes.wait(lambda: now() > WARM_UP, START_TIMEOUT, "simulated time does not begin")
 
-        def share(speed: float) -> float:
+        def fraction(speed: float) -> float:
             def feed(_: float) -> None:
                 angle = CIRCLES * now()
                 twist = (speed * math.cos(angle), speed * math.sin(angle), 0.0)
@@ -121,7 +121,7 @@ def node_shares(robot: str, wheels: str, seconds: float) -> dict[str, float]:
             nodes.serve(seconds, feed)
             return (cpu_time(pid) - cpu) / (now() - begin)
 
-        return {"rest": share(0.0), "driving": share(SPEED)}
+        return {"rest": fraction(0.0), "driving": fraction(SPEED)}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -140,16 +140,16 @@ def run(args: argparse.Namespace) -> int:
     return conclude("world", result, report(result), args.results)
 
 
-def report(result: Mapping[str, Any]) -> list[Table]:
+def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
     """Return the tables of a result."""
     factor, scan = result["factor"], result["scan"]
     rows = [Figure("plant, times real time", (f"{factor['plant']:.1f}",))]
     for kind, aim in AIMS.items():
         about = f"world on wheels: {kind}, times real time"
         rows.append(at_least(about, factor[kind], aim, "{:.1f}"))
-    for kind, shares in result["node"].items():
-        for state, share in shares.items():
-            rows.append(at_most(f"{NODE}, {kind}, {state}", share, NODE_AIM, "{:.1%}"))
+    for kind, fractions in result["node"].items():
+        for state, fraction in fractions.items():
+            rows.append(at_most(f"{NODE}, {kind}, {state}", fraction, NODE_AIM, "{:.1%}"))
     rows.append(Figure(f"CPU of a scan of {scan['beams']} beams", (f"{scan['cpu_us']:.0f} us",)))
     rows.append(at_most(f"  at {SCAN_RATE:g} Hz", scan["core_share"], SCAN_AIM, "{:.2%}"))
-    return [Table(("value",), rows)]
+    return [BenchmarkTable(("value",), rows)]

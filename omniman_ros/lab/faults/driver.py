@@ -17,7 +17,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.lab.faults.ground_truth import GroundTruth
 from omniman_ros.lab.faults.injections import TwistFault
-from omniman_ros.lab.faults.rows import Motion
+from omniman_ros.lab.faults.rows import MotionKind
 
 SPEED = 0.5  #: speed of the platform when a fault begins [m/s]
 ARM_SPEED = 0.6  #: speed of the first joint of the arm when a fault begins [rad/s]
@@ -73,10 +73,10 @@ class Driver:
     def _on_odometry(self, message: Odometry) -> None:
         self._odometry = message
 
-    def begin_motion(self, motion: Motion) -> None:
+    def begin_motion(self, motion: MotionKind) -> None:
         """Begin a motion that lasts for `RAMP` and `CRUISE`; the next one is backwards."""
         self.forwards = -self.forwards
-        with_platform = motion is Motion.TRAJECTORY
+        with_platform = motion is MotionKind.TRAJECTORY
         self._twist = None if with_platform else (self.forwards * SPEED, 0.0, 0.0)
         self._send_trajectory(with_platform)
 

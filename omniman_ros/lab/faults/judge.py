@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
-BRAKED_SHARE = 0.95  #: share of the speed before the fault below which a motion has begun to brake
+#: fraction of the speed before the fault below which a motion has begun to brake
+BRAKED_FRACTION = 0.95
 STEADY_TIME = 0.2  #: time before the fault over which the speed is averaged [s]
 WINDOW = 0.06  #: time over which a deceleration is averaged [s]
 
 
 @dataclass(frozen=True)
-class Stop:
+class StopMeasurement:
     """What became of a motion after a fault."""
 
     speed: float  #: speed before the fault [m/s or rad/s]
@@ -30,10 +31,12 @@ class Stop:
 
 
 #: What became of a motion that was not seen
-UNKNOWN = Stop(math.nan, math.inf, math.inf, math.nan, math.nan)
+UNKNOWN = StopMeasurement(math.nan, math.inf, math.inf, math.nan, math.nan)
 
 
-def judge_stop(times: Array, speeds: Array, fault: float, end: float, still: float) -> Stop:
+def judge_stop(
+    times: Array, speeds: Array, fault: float, end: float, still: float
+) -> StopMeasurement:
     """Judge a motion from its speeds.
 
     Args:
@@ -49,9 +52,9 @@ def judge_stop(times: Array, speeds: Array, fault: float, end: float, still: flo
         return UNKNOWN
     speed = float(np.median(speeds[before]))
     stamps, values = times[after] - fault, speeds[after]
-    return Stop(
+    return StopMeasurement(
         speed=speed,
-        reaction=_time_since(stamps, values < BRAKED_SHARE * speed),
+        reaction=_time_since(stamps, values < BRAKED_FRACTION * speed),
         rest=_time_since(stamps, values < still),
         deceleration=_largest_deceleration(stamps, values),
         fastest=float(values.max()),

@@ -18,14 +18,14 @@ class Subject(Enum):
     PERSON = "person"
 
 
-class Motion(Enum):
+class MotionKind(Enum):
     """What the robot does when the fault begins."""
 
     TWIST = "twist"  #: the platform follows `cmd_vel`, the arm a trajectory
     TRAJECTORY = "trajectory"  #: platform and arm follow one trajectory
 
 
-class Outcome(Enum):
+class RequiredOutcome(Enum):
     """What must become of the motion."""
 
     #: Platform and arm come to rest, and nothing moves again before a reset
@@ -56,9 +56,9 @@ class Row:
     subject: Subject  #: what fails
     fault: str  #: fault, in words for the documentation
     injection: Injection  #: how it is injected
-    outcome: Outcome  #: what must become of the motion
+    outcome: RequiredOutcome  #: what must become of the motion
     going_on: GoingOn  #: what a user does to drive on
-    motion: Motion = Motion.TWIST  #: motion of the robot when the fault begins
+    motion: MotionKind = MotionKind.TWIST  #: motion of the robot when the fault begins
     #: Time from the injection within which nobody can know of the fault: the time-out by which it
     #: becomes evident [s].
     unnoticed: float = 0.0
@@ -75,7 +75,7 @@ class Row:
     source: str = ""  #: required value of `active_source`; empty if any will do
 
     def __post_init__(self) -> None:
-        if self.outcome is Outcome.LATCHED and not self.stopped:
+        if self.outcome is RequiredOutcome.LATCHED and not self.stopped:
             raise ValueError(f"row '{self.name}': nobody is named who is stopped")
         if (self.unnoticed > 0.0) != bool(self.timeout):
             raise ValueError(f"row '{self.name}': a time-out needs its name, and a name its time")

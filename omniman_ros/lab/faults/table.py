@@ -27,14 +27,14 @@ from omniman_ros.lab.faults.injections import (
     Signal,
     TwistFault,
 )
-from omniman_ros.lab.faults.rows import GoingOn, Motion, Outcome, Row, Subject
+from omniman_ros.lab.faults.rows import GoingOn, MotionKind, RequiredOutcome, Row, Subject
 
 FRONT_LEFT = ("front_left",)  #: wheel whose drive fails
 PROCESS_NAMES = {STREAMING_PROCESS: "The streaming process of `arm_streamer`"}
 AFTER_SUSPENSION = {
-    Outcome.LATCHED: GoingOn.RESET,
-    Outcome.ENDED: GoingOn.COMMAND,
-    Outcome.PAUSED: GoingOn.NOTHING,
+    RequiredOutcome.LATCHED: GoingOn.RESET,
+    RequiredOutcome.ENDED: GoingOn.COMMAND,
+    RequiredOutcome.PAUSED: GoingOn.NOTHING,
 }  #: What a user does to drive on once a suspended process goes on
 LOST_SOURCE = 0.1  #: longest time from the evidence of a lost source until the robot brakes [s]
 SOURCE_LOST: dict[str, Any] = {"reaction": LOST_SOURCE, "source": "none"}
@@ -75,9 +75,9 @@ def _latched(
         subject,
         fault,
         injection,
-        Outcome.LATCHED,
+        RequiredOutcome.LATCHED,
         going_on,
-        Motion.TRAJECTORY,
+        MotionKind.TRAJECTORY,
         late.unnoticed,
         late.timeout,
         stopped=stopped,
@@ -90,7 +90,7 @@ def _process(
     process: str,
     number: Signals,
     late: Timeout = AT_ONCE,
-    outcome: Outcome = Outcome.ENDED,
+    outcome: RequiredOutcome = RequiredOutcome.ENDED,
     stopped: tuple[str, ...] = (),
     **more: Any,
 ) -> Row:
@@ -111,7 +111,7 @@ def _process(
         Signal(process, number),
         outcome,
         going_on,
-        Motion.TWIST if outcome is Outcome.PAUSED else Motion.TRAJECTORY,
+        MotionKind.TWIST if outcome is RequiredOutcome.PAUSED else MotionKind.TRAJECTORY,
         late.unnoticed,
         late.timeout,
         stopped=stopped,
@@ -126,9 +126,9 @@ def _twist(name: str, fault: str, injection: TwistFault) -> Row:
         Subject.SOURCE,
         fault,
         injection,
-        Outcome.PAUSED,
+        RequiredOutcome.PAUSED,
         GoingOn.COMMAND,
-        Motion.TWIST,
+        MotionKind.TWIST,
         CMD_VEL.unnoticed,
         CMD_VEL.timeout,
         LOST_SOURCE,
@@ -142,7 +142,7 @@ def _harmless(
     subject: Subject,
     fault: str,
     injection: Injection,
-    outcome: Outcome = Outcome.UNHARMED,
+    outcome: RequiredOutcome = RequiredOutcome.UNHARMED,
 ) -> Row:
     """Return the row of a fault that must not stop the robot."""
     nothing = GoingOn.NOTHING
@@ -170,14 +170,14 @@ ROWS = (
         Subject.SOURCE,
         "`cmd_vel` is a hundred times too fast: speed and acceleration keep to the limits.",
         TwistFault.JUMP,
-        Outcome.LIMITED,
+        RequiredOutcome.LIMITED,
     ),
     _harmless(
         "cmd_vel twice",
         Subject.SOURCE,
         "Two publishers of `cmd_vel` contradict each other: the limits hold.",
         TwistFault.OPPOSED,
-        Outcome.LIMITED,
+        RequiredOutcome.LIMITED,
     ),
     _harmless(
         "cmd_vel flood", Subject.SOURCE, "`cmd_vel` comes 1000 times a second.", TwistFault.FLOOD
@@ -205,8 +205,8 @@ ROWS = (
         going_on=GoingOn.COMMAND,
         slowly=1.6,
     ),
-    _process("bridge", BRIDGE, SIGKILL, WHEEL_STATES, Outcome.LATCHED, (CONTROLLER,)),
-    _process("bridge", BRIDGE, SIGSTOP, WHEEL_STATES, Outcome.LATCHED, (CONTROLLER,)),
+    _process("bridge", BRIDGE, SIGKILL, WHEEL_STATES, RequiredOutcome.LATCHED, (CONTROLLER,)),
+    _process("bridge", BRIDGE, SIGSTOP, WHEEL_STATES, RequiredOutcome.LATCHED, (CONTROLLER,)),
     _harmless(
         "bridge twice",
         Subject.PROCESS,
@@ -218,7 +218,7 @@ ROWS = (
         "streaming process",
         STREAMING_PROCESS,
         SIGKILL,
-        outcome=Outcome.LATCHED,
+        outcome=RequiredOutcome.LATCHED,
         stopped=(STREAMER,),
         going_on=GoingOn.RESET,
     ),
@@ -227,7 +227,7 @@ ROWS = (
         STREAMING_PROCESS,
         SIGSTOP,
         Timeout(0.5, "the streamer waits for its process"),
-        Outcome.LATCHED,
+        RequiredOutcome.LATCHED,
         (STREAMER,),
     ),
     _latched(
@@ -332,8 +332,8 @@ ROWS = (
             ("motion_limit", InvalidContent.NAN),
         )
     ),
-    _process("monitor", MONITOR, SIGKILL, MOTION_LIMIT, Outcome.PAUSED),
-    _process("monitor", MONITOR, SIGSTOP, MOTION_LIMIT, Outcome.PAUSED),
+    _process("monitor", MONITOR, SIGKILL, MOTION_LIMIT, RequiredOutcome.PAUSED),
+    _process("monitor", MONITOR, SIGSTOP, MOTION_LIMIT, RequiredOutcome.PAUSED),
     _latched(
         "emergency stop",
         Subject.PERSON,

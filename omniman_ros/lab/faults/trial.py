@@ -7,9 +7,9 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.faults.driver import ARM_SPEED, RAMP, SPEED
 from omniman_ros.lab.faults.injections import EmergencyStop
-from omniman_ros.lab.faults.judge import Stop, judge_stop, largest_change
+from omniman_ros.lab.faults.judge import StopMeasurement, judge_stop, largest_change
 from omniman_ros.lab.faults.player import Player
-from omniman_ros.lab.faults.rows import GoingOn, Outcome, Row, Subject
+from omniman_ros.lab.faults.rows import GoingOn, RequiredOutcome, Row, Subject
 
 STILL_PLATFORM, STILL_ARM = 0.01, 0.05
 """Speeds below which platform [m/s] and arm [rad/s] are at rest; the arm's servo dies down."""
@@ -38,8 +38,8 @@ RESUME_TIMEOUT = 5.0  #: longest time until a robot that goes on by itself has d
 class Trial:
     """What was measured in a trial."""
 
-    platform: Stop  #: stop of the platform
-    arm: Stop  #: stop of the arm
+    platform: StopMeasurement  #: stop of the platform
+    arm: StopMeasurement  #: stop of the arm
     failures: list[str]  #: what was not as it must be; empty if the trial passed
     held_up: float = 0.0  #: longest time for which the machine held drives or arm up [s]
     #: Number of stops before the fault, each with its reason
@@ -114,7 +114,7 @@ def _at_speed(player: Player) -> bool:
     return platform > 0.95 * SPEED and arm > 0.95 * ARM_SPEED
 
 
-def _stop_failures(row: Row, platform: Stop, arm: Stop) -> list[str]:
+def _stop_failures(row: Row, platform: StopMeasurement, arm: StopMeasurement) -> list[str]:
     """Return what was wrong with the stops themselves."""
     failures = []
     bound = row.unnoticed + row.reaction
@@ -133,7 +133,7 @@ def _stop_failures(row: Row, platform: Stop, arm: Stop) -> list[str]:
             failures.append(
                 f"{name}: deceleration {stop.deceleration:.2f}, {deceleration:g} limit"
             )
-    if row.outcome is Outcome.UNHARMED:
+    if row.outcome is RequiredOutcome.UNHARMED:
         failures += [
             f"{name}: braked after {stop.reaction:.3f} s"
             for name, stop in (("platform", platform), ("arm", arm))
@@ -147,7 +147,7 @@ def _stop_failures(row: Row, platform: Stop, arm: Stop) -> list[str]:
 def _state_failures(row: Row, stopped: set[str], source: str) -> list[str]:
     """Return which nodes do not report what they must."""
     failures = [f"{name} is not stopped" for name in row.stopped if name not in stopped]
-    if row.outcome is not Outcome.LATCHED:
+    if row.outcome is not RequiredOutcome.LATCHED:
         failures += [f"{name} is stopped" for name in sorted(stopped)]
     if row.source and source != row.source:
         failures.append(f"active_source is {source}, not {row.source}")
@@ -158,7 +158,7 @@ def _later_failures(player: Player, row: Row) -> list[str]:
     """Return what goes wrong once the fault is removed, while the sources go on."""
     robot, failures = player.robot, []
     since = robot.now
-    if row.outcome is Outcome.LATCHED:
+    if row.outcome is RequiredOutcome.LATCHED:
         if isinstance(row.injection, EmergencyStop):
             failures += _refusal_failures(player, row)
         player.remove(row.injection)
@@ -169,10 +169,10 @@ def _later_failures(player: Player, row: Row) -> list[str]:
         robot.observe(robot.now + OBSERVED_REST)
         return failures + _motion_failures(player, since, "by a reset")
     player.remove(row.injection)
-    if row.outcome is Outcome.ENDED:
+    if row.outcome is RequiredOutcome.ENDED:
         robot.observe(robot.now + OBSERVED_REST)
         return _motion_failures(player, since, "by itself")
-    goes_on = row.outcome is Outcome.PAUSED and row.going_on is not GoingOn.RESTART
+    goes_on = row.outcome is RequiredOutcome.PAUSED and row.going_on is not GoingOn.RESTART
     if goes_on and not robot.wait(lambda: robot.truth.speeds[0] > 0.5 * SPEED, RESUME_TIMEOUT):
         failures.append("the platform does not go on")
     return failures

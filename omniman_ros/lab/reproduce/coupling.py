@@ -29,8 +29,8 @@ from omniman_ros.lab.studies.coupling import (
     MISMATCH_SPREAD,
     OWN_CONTROLLER,
     PAPER_CONTROLLER,
-    Case,
-    Run,
+    CouplingCase,
+    CouplingRun,
     Setup,
     draw_mismatch,
     drive,
@@ -86,7 +86,7 @@ def printed_gain(robot: Mapping[str, Any]) -> float | None:
 
 def cases(
     extent: Extent, robot: Mapping[str, Any], own_gain: float, seed: int, *, in_world: bool = False
-) -> list[Case]:
+) -> list[CouplingCase]:
     """Return the cases of all drives; each set of wheels drives with each controller."""
     controllers: list[tuple[str, float]] = [(OWN_CONTROLLER, 0.0)]
     if in_world:
@@ -97,7 +97,7 @@ def cases(
         controllers += [(OWN_CONTROLLER, own_gain), *((PAPER_CONTROLLER, gain) for gain in paper)]
     wheels = build(Robot, robot).wheel_count
     return [
-        Case(group, sample, gain, draw_mismatch(group, seed, sample, wheels), controller)
+        CouplingCase(group, sample, gain, draw_mismatch(group, seed, sample, wheels), controller)
         for group in (extent.in_world if in_world else extent.on_plant)
         for sample in range(extent.samples)
         for controller, gain in controllers
@@ -149,13 +149,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
+def summary(runs: Sequence[CouplingRun]) -> list[dict[str, Any]]:
     """Return mean and worst value of each figure over the wheels, by group, controller and gain.
 
     `epsilon_ratio`, `error_ratio` and `energy_ratio` relate the `epsilon_max`, `error_max` and
     `energy` of a set of wheels to those of the same wheels without coupling control.
     """
-    members: dict[str, dict[tuple[str, float], list[Run]]] = {}
+    members: dict[str, dict[tuple[str, float], list[CouplingRun]]] = {}
     for each in runs:
         key = (each.case.controller, each.case.gain)
         members.setdefault(each.case.group, {}).setdefault(key, []).append(each)

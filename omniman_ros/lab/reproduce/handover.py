@@ -23,8 +23,8 @@ from omniman_ros.lab.studies.handover import (
     LENGTH,
     SIDE_GAP,
     SPEED,
-    Case,
-    Run,
+    HandoverCase,
+    HandoverRun,
     drive,
 )
 from omniman_ros.lab.studies.tool_courses import COURSES
@@ -73,14 +73,14 @@ def run(args: argparse.Namespace) -> int:
     return 0 if passed else 1
 
 
-def cases(quick: bool, seed: int) -> list[Case]:
+def cases(quick: bool, seed: int) -> list[HandoverCase]:
     """Return the drives, those with an aim first."""
     if quick:
-        return [Case("S", "PI", seed)]
-    return [Case(course, wheels, seed) for wheels in HANDOVER_WHEELS for course in COURSES]
+        return [HandoverCase("S", "PI", seed)]
+    return [HandoverCase(course, wheels, seed) for wheels in HANDOVER_WHEELS for course in COURSES]
 
 
-def drive_row(run: Run) -> dict[str, Any]:
+def drive_row(run: HandoverRun) -> dict[str, Any]:
     """Return the figures of a drive for the JSON, with the units in their names.
 
     The station is `kept` if the true errors keep their bounds over the judged time, in which the

@@ -44,8 +44,8 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
 from omniman_ros.lab.studies.scenes import (
     TIME_LIMIT,
-    Outcome,
     SceneDrive,
+    SceneOutcome,
     box_of,
     judge_drive,
     true_robot,
@@ -229,7 +229,7 @@ class NodeLoop:
         if world is None or self.touched is not None or not world.contacts:
             return
         names = [obstacle_name(index) for index in range(len(self.scene.obstacles))]
-        met = [names.index(each.thing) for each in world.contacts if each.thing in names]
+        met = [names.index(each.element) for each in world.contacts if each.element in names]
         if met:
             self.touched = self.times[-1], met[0]
 
@@ -394,7 +394,7 @@ def _stamp(now: float) -> Any:
     return Time(nanoseconds=round((EPOCH + now) * 1e9)).to_msg()
 
 
-def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
+def drive_scene(settings: SceneRunSettings, seed: int) -> SceneOutcome:
     """Drive through the random scene of a seed, and judge the drive by the ground truth."""
     box = box_of(load_robot(settings.robot))
     random_scene = scene(seed, box)

@@ -20,10 +20,10 @@ from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
     MOST_DEMANDING,
     WHEELS,
-    Case,
-    Run,
     StreamedArm,
+    ToolPathCase,
     ToolPathLoop,
+    ToolPathRun,
     rms,
 )
 from omniman_ros.lab.studies.worlds import WorldChoice
@@ -80,12 +80,12 @@ def run(args: argparse.Namespace) -> int:
     return 0 if passed else 1
 
 
-def cases(quick: bool, seed: int) -> list[Case]:
+def cases(quick: bool, seed: int) -> list[ToolPathCase]:
     """Return the drives: each course on each kind of wheels with the correction, then without."""
     courses = ["S"] if quick else list(COURSES)
     wheels = [MOST_DEMANDING] if quick else list(WHEELS)
     return [
-        Case(course, WHEELS[name], options(correction), seed)
+        ToolPathCase(course, WHEELS[name], options(correction), seed)
         for course in courses
         for name in wheels
         for correction in (True, False)
@@ -97,7 +97,9 @@ def options(correction: bool) -> ToolPathOptions:
     return build(ToolPathOptions, {"correction": correction})
 
 
-def drive(robot: Mapping[str, Any], length: float, wheels: str | None, case: Case) -> Run:
+def drive(
+    robot: Mapping[str, Any], length: float, wheels: str | None, case: ToolPathCase
+) -> ToolPathRun:
     """Plan and drive one tool path."""
     model = WholeBodyModel(build(Mount, {}))
     joints = ArmParameters()
@@ -120,7 +122,7 @@ def drive(robot: Mapping[str, Any], length: float, wheels: str | None, case: Cas
     return ToolPathLoop(platform, case, motion, model, arm).run()
 
 
-def drive_row(run: Run) -> dict[str, Any]:
+def drive_row(run: ToolPathRun) -> dict[str, Any]:
     """Return the figures of a drive for the JSON, with the units in their names.
 
     The drive is `kept` if its errors in odom keep both bounds.

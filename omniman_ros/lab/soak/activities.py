@@ -10,11 +10,11 @@ from nav_msgs.msg import Path
 
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.lab.faults.injections import EmergencyStop, ServiceStop, Setting, Signal
 from omniman_ros.lab.faults.player import Player
-from omniman_ros.lab.faults.rows import GoingOn, Motion
+from omniman_ros.lab.faults.rows import GoingOn, MotionKind
 from omniman_ros.lab.faults.table import ROWS
 
 #: Half the edge of the square in which goals and paths are, about the origin of the truth [m]
@@ -47,14 +47,14 @@ class Activities:
         self._interface = RobotInterface(node, "can")
         self._tool: PoseStamped | None = None
         node.create_subscription(PoseStamped, "tool_pose", self._on_tool, 1)
-        self._surroundings = MovingObstacles(0.0, OBSTACLES[:, :2], AT_REST, OBSTACLES[:, 2])
+        self._surroundings = DemoObstacles(0.0, OBSTACLES[:, :2], AT_REST, OBSTACLES[:, 2])
         node.create_timer(0.1, self._show_obstacles)
         self.counts: dict[str, int] = {}
         self.disturbed = False
         self._kinds: dict[str, tuple[float, Callable[[], None]]] = {
             "twist": (3.0, self._twist),
             "path": (2.0, self._path),
-            "trajectory": (2.0, lambda: self._player.driver.begin_motion(Motion.TRAJECTORY)),
+            "trajectory": (2.0, lambda: self._player.driver.begin_motion(MotionKind.TRAJECTORY)),
             "goal": (3.0, self._goal),
             "arm": (1.0, self._arm),
             "tool path": (2.0, self._tool_path),
@@ -65,7 +65,7 @@ class Activities:
         self._tool = message
 
     @property
-    def obstacles(self) -> MovingObstacles:
+    def obstacles(self) -> DemoObstacles:
         """What stands around, in the frame of the ground truth."""
         return self._surroundings
 
@@ -75,7 +75,7 @@ class Activities:
         if truth is None or believed is None:
             return
         positions = np.array([self._in_odom(place) for place in OBSTACLES[:, :2]])
-        seen = MovingObstacles(0.0, positions, AT_REST, self._surroundings.radii)
+        seen = DemoObstacles(0.0, positions, AT_REST, self._surroundings.radii)
         stamp = self._robot.session.node.get_clock().now().to_msg()
         self._interface.send_obstacles(seen.message(0.0, stamp))
 
@@ -119,8 +119,8 @@ class Activities:
         if start is None or self._robot.truth.pose is None:
             return
         end = self._place()
-        shares = np.linspace(0.0, 1.0, 8)[:, None]
-        self._interface.send_path(start + shares * (end - start))
+        fractions = np.linspace(0.0, 1.0, 8)[:, None]
+        self._interface.send_path(start + fractions * (end - start))
 
     def _arm(self) -> None:
         angles = self._robot.truth.angles
@@ -134,11 +134,11 @@ class Activities:
         start = self._tool.pose.position
         path = Path()
         path.header.frame_id = "odom"
-        for share in (0.0, 1.0):
+        for fraction in (0.0, 1.0):
             pose = PoseStamped()
             position, orientation = pose.pose.position, pose.pose.orientation
             for axis in "xyz":
-                way = share * self._draw.uniform(-TOOL_STEP, TOOL_STEP)
+                way = fraction * self._draw.uniform(-TOOL_STEP, TOOL_STEP)
                 setattr(position, axis, getattr(start, axis) + way)
             orientation.w = 0.0  # the tool keeps its orientation
             path.poses.append(pose)

@@ -12,8 +12,8 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.measurement import cpu_time
 
 MEBIBYTE = 2**20  #: bytes in a mebibyte
-#: Share of the samples, the later ones, from which growth is computed: caches fill at first
-SETTLED_SHARE = 0.5
+#: Fraction of the samples, the later ones, from which growth is computed: caches fill at first
+SETTLED_FRACTION = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def usage(pid: int, at: float) -> Usage | None:
 def usage_figures(samples: Sequence[Usage]) -> dict[str, Any]:
     """Return the figures of the life of a process that was not started anew."""
     first, last = samples[0], samples[-1]
-    settled = samples[int(len(samples) * (1.0 - SETTLED_SHARE)) :]
+    settled = samples[int(len(samples) * (1.0 - SETTLED_FRACTION)) :]
     elapsed = last.at - first.at
     growth = np.nan
     if len(settled) >= 3:

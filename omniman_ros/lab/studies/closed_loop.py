@@ -18,7 +18,7 @@ from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
-from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, WheelStates
+from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, SimulatedWheelStates
 
 if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
@@ -50,7 +50,7 @@ class ClosedLoop:
         self.drives = SimulatedDrives(robot, simulation, body=self.world)
         self.tick = 0
         self._torques = torques
-        self.states: WheelStates = self.drives.wheel_states(self.now)
+        self.states: SimulatedWheelStates = self.drives.wheel_states(self.now)
         self.truth: Array = self.drives.ground_truth()[0]  # pose (3,) at the time of `states`
         self.step()
 

@@ -55,7 +55,7 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
 
 
 @dataclass(frozen=True)
-class Case:
+class CouplingCase:
     """One drive of the study."""
 
     group: str  #: name of the group, a key of GROUPS
@@ -81,7 +81,7 @@ class Setup:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CouplingFigures:
     """The figures of a drive."""
 
     epsilon_max: float  #: largest |epsilon| by CCTA 2017 (24), from the encoders [rad]
@@ -96,11 +96,11 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Run:
+class CouplingRun:
     """A completed drive."""
 
-    case: Case  #: the case
-    outcome: Outcome  #: its figures
+    case: CouplingCase  #: the case
+    outcome: CouplingFigures  #: its figures
     time: Array  #: (k,) times at 50 Hz [s]
     epsilon: Array  #: (k, m) coupling errors by CCTA 2017 (24), never reset [rad]
 
@@ -117,7 +117,7 @@ def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchPa
     return MismatchParameters(friction, constant, gain, radius)
 
 
-def drive(setup: Setup, case: Case) -> Run:
+def drive(setup: Setup, case: CouplingCase) -> CouplingRun:
     """Drive along the path once."""
     values = {
         **setup.robot,
@@ -150,7 +150,7 @@ def drive(setup: Setup, case: Case) -> Run:
         rows.append((core.odometry.coupling_error, explained, error))
     epsilon, due, errors = (np.array(column) for column in zip(*rows, strict=True))
     distance = np.hypot(errors[:, 0], errors[:, 1])
-    outcome = Outcome(
+    outcome = CouplingFigures(
         epsilon_max=float(np.linalg.norm(epsilon, axis=1).max()),
         error_max=float(np.linalg.norm(epsilon - due, axis=1).max()),
         slip=drives.energy.losses["slip"],
@@ -162,4 +162,4 @@ def drive(setup: Setup, case: Case) -> Run:
         tracking_max=tracking,
     )
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
-    return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
+    return CouplingRun(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])

@@ -27,7 +27,7 @@ from omniman_ros.lab.studies.closed_loop import (
     MotionRecord,
     StudyError,
 )
-from omniman_ros.lab.studies.scene_geometry import Box, wall_gap
+from omniman_ros.lab.studies.scene_geometry import RectangularOutline, wall_gap
 from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import (
     DEMO_MISMATCH,
@@ -35,7 +35,7 @@ from omniman_ros.lab.studies.tool_path import (
     ODOM_PERIOD,
     PREVIEW_LATENCY,
     WHEELS,
-    Wheels,
+    WheelSettings,
 )
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.interpolator import PathInterpolator
@@ -64,7 +64,7 @@ UNCALIBRATED = "radii"  #: name of the wheels with radii that neither robot know
 HANDOVER_WHEELS = {
     "PI": WHEELS["PI"],
     "P": WHEELS["P"],
-    UNCALIBRATED: Wheels(
+    UNCALIBRATED: WheelSettings(
         "wheels of the demo, radii off by up to 0.2 %",
         {},
         {**DEMO_MISMATCH, "radius": [1.002, 0.998, 1.001, 0.999]},
@@ -73,7 +73,7 @@ HANDOVER_WHEELS = {
 
 
 @dataclass(frozen=True)
-class Case:
+class HandoverCase:
     """One drive of the study."""
 
     course: str  #: shape of the leader's path, a key of `tool_courses.COURSES`
@@ -87,12 +87,12 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Run:
+class HandoverRun:
     """A completed drive, with a row for each of K ticks of 5 ms."""
 
-    case: Case  #: the case
+    case: HandoverCase  #: the case
     offset: Triple  #: pose of the station in base_link of the leader [m, m, rad]
-    box: Box  #: outline of each robot
+    box: RectangularOutline  #: outline of each robot
     times: Array  #: (K,) times since the follower was sent to the station [s]
     leader: Array  #: (K, 3) true poses of the leader [m, m, rad]
     follower: Array  #: (K, 3) true poses of the follower [m, m, rad]
@@ -101,19 +101,19 @@ class Run:
 
     @staticmethod
     def of(
-        case: Case,
+        case: HandoverCase,
         offset: Triple,
-        box: Box,
+        box: RectangularOutline,
         leader: MotionRecord,
         follower: MotionRecord,
         kept_from: float,
-    ) -> "Run":
+    ) -> "HandoverRun":
         """Return the run that two records contain; both end with the shorter one."""
         first = round((follower.times[0] - leader.times[0]) / PERIOD)
         count = min(len(leader.times) - first, len(follower.times))
         rows = slice(first, first + count)
         energies = np.column_stack([leader.energy[rows], follower.energy[:count]])
-        return Run(
+        return HandoverRun(
             case,
             offset,
             box,
@@ -159,7 +159,7 @@ def station_error(leader: Triple, offset: Triple, follower: Triple) -> Triple:
     return x, y, se2.wrap(follower[2] - station[2])
 
 
-def drive(robot: Mapping[str, Any], world: str | None, case: Case) -> Run:
+def drive(robot: Mapping[str, Any], world: str | None, case: HandoverCase) -> HandoverRun:
     """Drive leader and follower of a case, each on its plant or in a world of its own."""
     wheels = HANDOVER_WHEELS[case.wheels]
     values = {**robot, **wheels.changes}
@@ -173,8 +173,8 @@ def drive(robot: Mapping[str, Any], world: str | None, case: Case) -> Run:
     follower, kept_since = StationDrive(behind, values, leader, offset, case.seed).run()
     if kept_since is None:
         raise StudyError(f"{case.course}: the station was not reached")
-    box = Box(body.length, body.width)
-    return Run.of(case, offset, box, leader, follower, kept_since + SETTLING_TIME)
+    box = RectangularOutline(body.length, body.width)
+    return HandoverRun.of(case, offset, box, leader, follower, kept_since + SETTLING_TIME)
 
 
 def _loop(

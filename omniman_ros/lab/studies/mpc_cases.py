@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.lab.studies.scene_geometry import Box, MovingObstacle, Wall, wall_gap
+from omniman_ros.lab.studies.scene_geometry import (
+    MovingObstacle,
+    RectangularOutline,
+    WallRectangle,
+    wall_gap,
+)
 from omniman_ros.planning.cases import CASES, RADIUS, Pose
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
@@ -24,7 +29,7 @@ WALL_THICKNESS = 0.1  #: thickness of the walls [m]
 
 
 @dataclass(frozen=True)
-class Scene:
+class MpcCase:
     """A test case: start, goal, and the fixed and moving obstacles between them."""
 
     name: str  #: name of the case
@@ -34,7 +39,7 @@ class Scene:
     snapshots: tuple[float, ...] = ()  #: times that figures show, from the sending of the goal [s]
     noise: float = 0.0  #: standard deviation of the observed positions of obstacles [m]
     time_limit: float = 30.0  #: time within which the goal must be reached [s]
-    walls: tuple[Wall, ...] = ()  #: walls; touching one counts as a contact
+    walls: tuple[WallRectangle, ...] = ()  #: walls; touching one counts as a contact
     grid: GridMap | None = None  #: map of the walls that the planner receives, if any
 
 
@@ -43,24 +48,24 @@ def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:
     return MovingObstacle((radius, radius), place)
 
 
-def case_of_paper(name: str, **more: Any) -> Scene:
-    """Return the scene of a test case; `more` contains further fields of `Scene`."""
+def case_of_paper(name: str, **more: Any) -> MpcCase:
+    """Return the scene of a test case; `more` contains further fields of `MpcCase`."""
     case = CASES[name]
-    circles = tuple(circle(RADIUS, path) for path in case.ways)
-    return Scene(name, case.goal, case.start, circles, **more)
+    circles = tuple(circle(RADIUS, path) for path in case.paths)
+    return MpcCase(name, case.goal, case.start, circles, **more)
 
 
-def _wall_along_y(x: float, low: float, high: float) -> Wall:
+def _wall_along_y(x: float, low: float, high: float) -> WallRectangle:
     """Return a wall at x that runs along y from low to high, in odom [m]."""
-    return Wall(x, 0.5 * (low + high), math.pi / 2, high - low, WALL_THICKNESS)
+    return WallRectangle(x, 0.5 * (low + high), math.pi / 2, high - low, WALL_THICKNESS)
 
 
-def _wall_along_x(y: float, low: float, high: float) -> Wall:
+def _wall_along_x(y: float, low: float, high: float) -> WallRectangle:
     """Return a wall at y that runs along x from low to high, in odom [m]."""
-    return Wall(0.5 * (low + high), y, 0.0, high - low, WALL_THICKNESS)
+    return WallRectangle(0.5 * (low + high), y, 0.0, high - low, WALL_THICKNESS)
 
 
-def walls() -> tuple[Wall, ...]:
+def walls() -> tuple[WallRectangle, ...]:
     """Return the outer walls, three inner walls with a door each, a dead end and four machines."""
     x_min, y_min, x_max, y_max = AREA
     edge, half = 0.5 * WALL_THICKNESS, 0.5 * DOOR_WIDTH
@@ -78,10 +83,10 @@ def walls() -> tuple[Wall, ...]:
         _wall_along_x(-0.65, -0.5, 1.0),
         _wall_along_x(0.65, -0.5, 1.0),
         _wall_along_y(1.0, -0.7, 0.7),
-        Wall(4.7, 2.9, 0.6, 1.8, 0.4),
-        Wall(5.2, 0.6, -0.3, 0.8, 0.5),
-        Wall(8.3, 0.8, 0.2, 0.9, 0.6),
-        Wall(9.2, 4.9, 0.9, 0.8, 0.4),
+        WallRectangle(4.7, 2.9, 0.6, 1.8, 0.4),
+        WallRectangle(5.2, 0.6, -0.3, 0.8, 0.5),
+        WallRectangle(8.3, 0.8, 0.2, 0.9, 0.6),
+        WallRectangle(9.2, 4.9, 0.9, 0.8, 0.4),
     )
 
 
@@ -93,18 +98,18 @@ def grid_map() -> GridMap:
     x, y = np.meshgrid(columns, rows)
     cells = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     # The box is a little smaller than a cell, so that a cell which only borders on a wall is free.
-    cell = Box(0.99 * RESOLUTION, 0.99 * RESOLUTION)
+    cell = RectangularOutline(0.99 * RESOLUTION, 0.99 * RESOLUTION)
     occupied = np.any([wall_gap(cells, cell, wall.row) <= 0.0 for wall in walls()], axis=0)
     return GridMap(occupied.reshape(x.shape), RESOLUTION, np.array([x_min, y_min, 0.0]))
 
 
-def workshop() -> Scene:
+def workshop() -> MpcCase:
     """Return the scene: out of the dead end, through three doors, to a pose in the last room."""
     goal = (7.6, 4.6, math.pi / 2)
-    return Scene("workshop", goal, walls=walls(), grid=grid_map(), time_limit=60.0)
+    return MpcCase("workshop", goal, walls=walls(), grid=grid_map(), time_limit=60.0)
 
 
-SCENES: Mapping[str, Callable[[], Scene]] = {
+SCENES: Mapping[str, Callable[[], MpcCase]] = {
     "free": partial(case_of_paper, "free", snapshots=(2.0, 3.5, 7.0)),
     "corridor": partial(case_of_paper, "corridor", snapshots=(0.8, 1.9, 2.7, 3.4, 4.8)),
     "moving": partial(case_of_paper, "moving", noise=0.01),

@@ -30,7 +30,7 @@ WARM_UP_TICKS = 12
 
 
 @dataclass(frozen=True)
-class Cycle:
+class MpcSceneCycle:
     """The record of one cycle of the planner."""
 
     time: float  #: [s]
@@ -80,7 +80,7 @@ class MpcLoop:
         self.planner = Planner(planner, anchored=not options.voltages)
         self.observed = ObstacleSet(planner.obstacles)
         self.touched: list[str] = []
-        self.cycles: list[Cycle] = []
+        self.cycles: list[MpcSceneCycle] = []
         self.motion_record = MotionRecord()
         self._random = np.random.default_rng(options.seed)
         self._last_observation = -np.inf
@@ -146,7 +146,7 @@ class MpcLoop:
         if self.options.on_tick is not None:
             self.options.on_tick(self)
         if world is not None:
-            things = [contact.thing for contact in world.contacts]
+            things = [contact.element for contact in world.contacts]
             self.touched += sorted(set(things) - set(self.touched))
 
     def _publish(self) -> None:
@@ -194,7 +194,7 @@ class MpcLoop:
         """Record the present cycle."""
         motion, now = self.planner.motion, self.now
         self.cycles.append(
-            Cycle(
+            MpcSceneCycle(
                 now,
                 self.loop.truth.copy(),
                 motion.sample(now)[0],

@@ -12,12 +12,12 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import MotionRecord, StudyError
-from omniman_ros.lab.studies.mpc_cases import Scene
-from omniman_ros.lab.studies.mpc_loop import Cycle, LoopOptions, MpcLoop
+from omniman_ros.lab.studies.mpc_cases import MpcCase
+from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop, MpcSceneCycle
 from omniman_ros.lab.studies.scene_geometry import (
-    Box,
     MovingObstacle,
-    Wall,
+    RectangularOutline,
+    WallRectangle,
     ellipse_gaps,
     wall_gap,
 )
@@ -34,7 +34,7 @@ REST_SPEED = 0.02  #: speed below which the robot rests, the same as in the plan
 
 
 @dataclass(frozen=True)
-class Drive:
+class RecordedDrive:
     """A recorded drive to a goal, with a row for each of K ticks of 5 ms."""
 
     times: Array  #: (K,) times since the goal was sent [s]
@@ -52,10 +52,10 @@ class Drive:
         since: float,
         goal: Pose,
         tolerance: Arrival,
-        box: Box,
+        box: RectangularOutline,
         obstacles: Sequence[MovingObstacle] = (),
-        walls: Sequence[Wall] = (),
-    ) -> "Drive":
+        walls: Sequence[WallRectangle] = (),
+    ) -> "RecordedDrive":
         """Return the drive that a motion record contains from a time on.
 
         Between two ticks of 5 ms, a gap may be smaller by at most half of the relative travel:
@@ -71,7 +71,7 @@ class Drive:
             columns.append(ellipse_gaps(poses, box, centers, axes, angle)[:, 0])
         if walls:
             columns.append(np.min([wall_gap(poses, box, wall.row) for wall in walls], axis=0))
-        return Drive(
+        return RecordedDrive(
             times - since,
             poses,
             np.array(record.odometry[rows]),
@@ -122,8 +122,8 @@ class Drive:
 class PlannedDrive:
     """A drive with the MPC planner."""
 
-    drive: Drive  #: recorded drive of the robot
-    cycles: list[Cycle]  #: record of the planner's cycles
+    drive: RecordedDrive  #: recorded drive of the robot
+    cycles: list[MpcSceneCycle]  #: record of the planner's cycles
     state: PlannerState  #: state of the planner when it finished
     since: float  #: time at which the goal was sent, on the clock of loop, plans and obstacles [s]
     touched: tuple[str, ...] = ()  #: what the robot touched according to the physics world
@@ -169,7 +169,7 @@ class PlannedDrive:
 
 def drive_with_planner(
     robot: Mapping[str, Any],
-    scene: Scene,
+    scene: MpcCase,
     changes: Mapping[str, Any],
     voltages: bool,
     seed: int,
@@ -205,12 +205,12 @@ def drive_with_planner(
     state = loop.planner.state
     loop.run(RECORDING_TAIL)
     body = parameters.robot.body
-    drive = Drive.of(
+    drive = RecordedDrive.of(
         loop.motion_record,
         since,
         scene.goal,
         parameters.arrival,
-        Box(body.length, body.width),
+        RectangularOutline(body.length, body.width),
         scene.obstacles,
         scene.walls,
     )

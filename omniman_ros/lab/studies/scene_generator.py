@@ -15,14 +15,20 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.core.planar import Triple
-from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, ellipse_gaps
+from omniman_ros.lab.studies.scene_geometry import (
+    Area,
+    Ellipse,
+    PolylineMotion,
+    RectangularOutline,
+    ellipse_gaps,
+)
 
 AREA: Area = (0.0, 0.0, 8.0, 6.0)  #: contains start, goal, and all obstacles' centres at first [m]
-ROBOT = Box(0.8, 0.5)  #: default outline of the robot
+ROBOT = RectangularOutline(0.8, 0.5)  #: default outline of the robot
 OBSTACLE_COUNTS = (3, 8)  #: smallest and largest number of obstacles
 SEMI_AXES = (0.1, 0.5)  #: range of the semi-axes of obstacles [m]
-DISC_SHARE = 0.5  #: probability that an obstacle is a disc
-MOVING_SHARE = 0.5  #: probability that an obstacle moves, unless drawn to block the way
+DISC_FRACTION = 0.5  #: probability that an obstacle is a disc
+MOVING_FRACTION = 0.5  #: probability that an obstacle moves, unless drawn to block the way
 SPEEDS = (0.1, 0.6)  #: range of the speeds of moving obstacles [m/s]
 MIN_DISTANCE = 3.5  #: smallest distance from start to goal [m]
 #: Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
@@ -65,7 +71,7 @@ class RandomScene:
     mismatch: Mismatch  #: mismatch between the true robot and its model
 
 
-def scene(seed: int, box: Box = ROBOT) -> RandomScene:
+def scene(seed: int, box: RectangularOutline = ROBOT) -> RandomScene:
     """Return the scene of a seed, which is always the same for the same seed and box."""
     if seed < 0:
         raise InputError(f"the seed must not be negative, got {seed}")
@@ -88,11 +94,13 @@ def blocks(obstacle: Ellipse, start: Triple, goal: Triple) -> bool:
     ends = np.array([(px - x, py - y) for px, py in (start[:2], goal[:2])])
     whitened = ends @ np.array([[c, -s], [s, c]]) / np.array(obstacle.semi_axes)
     chord = whitened[1] - whitened[0]
-    share = min(max(-float(whitened[0] @ chord) / max(float(chord @ chord), 1e-12), 0.0), 1.0)
-    return float(np.hypot(*(whitened[0] + share * chord))) <= 1.0
+    fraction = min(max(-float(whitened[0] @ chord) / max(float(chord @ chord), 1e-12), 0.0), 1.0)
+    return float(np.hypot(*(whitened[0] + fraction * chord))) <= 1.0
 
 
-def _draw_scene(seed: int, box: Box, random: np.random.Generator) -> RandomScene | None:
+def _draw_scene(
+    seed: int, box: RectangularOutline, random: np.random.Generator
+) -> RandomScene | None:
     """Draw a scene; return None if this draw does not have enough room."""
     start, goal = _draw_pose(box, random), _draw_pose(box, random)
     if math.dist(start[:2], goal[:2]) < MIN_DISTANCE:
@@ -124,7 +132,7 @@ def _draw_scene(seed: int, box: Box, random: np.random.Generator) -> RandomScene
     )
 
 
-def _draw_pose(box: Box, random: np.random.Generator) -> Triple:
+def _draw_pose(box: RectangularOutline, random: np.random.Generator) -> Triple:
     """Draw a pose at which the box would keep `MARGIN` to the border at any heading."""
     room = box.radius + MARGIN
     x, y = (float(random.uniform(AREA[i] + room, AREA[i + 2] - room)) for i in (0, 1))
@@ -134,7 +142,7 @@ def _draw_pose(box: Box, random: np.random.Generator) -> Triple:
 def _draw_shape(random: np.random.Generator) -> tuple[tuple[float, float], float]:
     """Draw the semi-axes [m] and the angle [rad] of an obstacle."""
     one, two = random.uniform(*SEMI_AXES, 2).tolist()
-    if random.random() < DISC_SHARE:
+    if random.random() < DISC_FRACTION:
         return (one, one), 0.0
     return (one, two), float(random.uniform(-math.pi, math.pi))
 
@@ -156,7 +164,7 @@ def _draw_obstacle(random: np.random.Generator) -> Ellipse:
     """Draw an obstacle that is fixed, moves straight, bounces off the border or turns once."""
     axes, angle = _draw_shape(random)
     x, y = (float(random.uniform(AREA[i], AREA[i + 2])) for i in (0, 1))
-    if random.random() >= MOVING_SHARE:
+    if random.random() >= MOVING_FRACTION:
         return Ellipse(axes, PolylineMotion.still(x, y), angle)
     one, two = _draw_velocity(random), _draw_velocity(random)
     kind = int(random.integers(3))
@@ -194,7 +202,7 @@ def _bouncing(place: tuple[float, float], velocity: tuple[float, float]) -> Poly
     return PolylineMotion(tuple(times), tuple(places), (u, v))
 
 
-def _leaves_room(obstacle: Ellipse, start: Triple, goal: Triple, box: Box) -> bool:
+def _leaves_room(obstacle: Ellipse, start: Triple, goal: Triple, box: RectangularOutline) -> bool:
     """Return whether an obstacle leaves room for the robot at the start, and later at the goal."""
     if obstacle.is_fixed:
         gaps = _gaps(obstacle, np.array([start, goal]), np.zeros(2), box)
@@ -210,7 +218,7 @@ def _leaves_room(obstacle: Ellipse, start: Triple, goal: Triple, box: Box) -> bo
     return max(len(stay) for stay in stays) * CHECK_PERIOD <= MAX_GOAL_STAY
 
 
-def _gaps(obstacle: Ellipse, poses: Array, times: Array, box: Box) -> Array:
+def _gaps(obstacle: Ellipse, poses: Array, times: Array, box: RectangularOutline) -> Array:
     """Return the gaps (N,) from an obstacle at times (N,) to the robot at (N, 3) or (1, 3)."""
     centers, axes = obstacle.place.at(times)[:, None], np.array([obstacle.semi_axes])
     gaps: Array = ellipse_gaps(poses, box, centers, axes, np.array([obstacle.angle]))[:, 0]

@@ -20,7 +20,7 @@ NEWTON_STEPS = 12  #: number of Newton steps towards an ellipse's point nearest 
 
 
 @dataclass(frozen=True)
-class Box:
+class RectangularOutline:
     """The robot's outline: a rectangle centred at its pose, with its length along its heading."""
 
     length: float
@@ -107,7 +107,7 @@ class Ellipse(MovingObstacle):
 
 
 @dataclass(frozen=True)
-class Wall:
+class WallRectangle:
     """A wall: a fixed rectangle, given by centre, heading, and size along and across."""
 
     x: float
@@ -123,7 +123,7 @@ class Wall:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SceneVerdict:
     """The judge's verdict on a drive; gap and room at the samples."""
 
     gap: float  #: smallest gap [m]; not above zero after a contact, inf with nothing to touch
@@ -138,8 +138,12 @@ class Verdict:
 
 
 def judge(
-    times: Array, poses: Array, box: Box, obstacles: Sequence[Ellipse], area: Area | None = None
-) -> Verdict:
+    times: Array,
+    poses: Array,
+    box: RectangularOutline,
+    obstacles: Sequence[Ellipse],
+    area: Area | None = None,
+) -> SceneVerdict:
     """Judge a drive, given by its times (K,) [s] and true poses (K, 3) in odom [m, m, rad].
 
     Args:
@@ -148,7 +152,7 @@ def judge(
     """
     beyond = -math.inf if area is None else float(outside(poses, box, area).max())
     if not obstacles:
-        return Verdict(math.inf, math.inf, None, beyond)
+        return SceneVerdict(math.inf, math.inf, None, beyond)
     centers = np.stack([each.place.at(times) for each in obstacles], axis=1)
     axes, angles = (
         np.array([o.semi_axes for o in obstacles]),
@@ -161,12 +165,14 @@ def judge(
     least = np.vstack([gaps[:1], np.minimum(gaps[1:], 0.5 * (gaps[1:] + gaps[:-1] - travel))])
     rows = np.flatnonzero((least <= 0.0).any(axis=1))
     if not len(rows):
-        return Verdict(float(gaps.min()), math.inf, None, beyond)
+        return SceneVerdict(float(gaps.min()), math.inf, None, beyond)
     contact, touched = float(times[rows[0]]), int(least[rows[0]].argmin())
-    return Verdict(min(float(gaps.min()), 0.0), contact, touched, beyond)
+    return SceneVerdict(min(float(gaps.min()), 0.0), contact, touched, beyond)
 
 
-def ellipse_gaps(poses: Array, box: Box, centers: Array, semi_axes: Array, angles: Array) -> Array:
+def ellipse_gaps(
+    poses: Array, box: RectangularOutline, centers: Array, semi_axes: Array, angles: Array
+) -> Array:
     """Compute the gaps between a filled box at K poses and M filled ellipses.
 
     Along a unit vector n, the separation of the two is the distance of their centres less the
@@ -228,7 +234,7 @@ def _normal(x: Array, y: Array, a: Array, b: Array) -> tuple[Array, Array]:
     return np.where(at_centre, 1.0, nx / length), np.where(at_centre, 0.0, ny / length)
 
 
-def wall_gap(poses: Array, box: Box, walls: Array) -> Array:
+def wall_gap(poses: Array, box: RectangularOutline, walls: Array) -> Array:
     """Compute the gaps of N pairs of a filled box and a filled wall.
 
     Of the two nearest points of separate boxes, at least one is a corner.
@@ -273,7 +279,7 @@ def _axis_and_corner_gaps(
     return np.maximum(along, across), beyond.min(axis=1)
 
 
-def outside(poses: Array, box: Box, area: Area) -> Array:
+def outside(poses: Array, box: RectangularOutline, area: Area) -> Array:
     """Compute how far a box extends beyond the border of an area.
 
     Args:

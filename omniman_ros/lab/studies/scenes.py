@@ -17,14 +17,14 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
-from omniman_ros.lab.studies.scene_geometry import Box, Verdict, judge
+from omniman_ros.lab.studies.scene_geometry import RectangularOutline, SceneVerdict, judge
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 TIME_LIMIT = 60.0  #: from when the goal is sent [s]
 #: Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
 #: itself judges its arrival by odometry, which has drifted by then.
 GOAL_TOLERANCE = (0.04, 0.04)
-AIM_REACHED = 0.98  #: smallest share of reached goals
+AIM_REACHED = 0.98  #: smallest fraction of reached goals
 MASS_PARAMETERS = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
 
 
@@ -46,10 +46,10 @@ def true_robot(
     return values, simulation
 
 
-def box_of(robot: Mapping[str, Any]) -> Box:
+def box_of(robot: Mapping[str, Any]) -> RectangularOutline:
     """Return the robot's outline from its parameters, full names to values."""
     body = build(Robot, robot).body
-    return Box(body.length, body.width)
+    return RectangularOutline(body.length, body.width)
 
 
 @dataclass(frozen=True)
@@ -69,12 +69,12 @@ class SceneDrive:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SceneOutcome:
     """A drive through a scene, and the verdict on it."""
 
     scene: RandomScene
     drive: SceneDrive
-    verdict: Verdict
+    verdict: SceneVerdict
 
     @property
     def goal_error(self) -> tuple[float, float]:
@@ -125,13 +125,13 @@ class Outcome:
         }
 
 
-def judge_drive(scene: RandomScene, drive: SceneDrive, box: Box) -> Outcome:
+def judge_drive(scene: RandomScene, drive: SceneDrive, box: RectangularOutline) -> SceneOutcome:
     """Judge a drive through a scene; a contact by the engine counts beside one by the judge."""
     verdict = judge(drive.times, drive.poses, box, scene.obstacles, scene.workspace)
     if drive.touched is not None and drive.touched[0] < verdict.contact:
         contact, index = drive.touched
         verdict = replace(verdict, contact=contact, touched=index)
-    return Outcome(scene, drive, verdict)
+    return SceneOutcome(scene, drive, verdict)
 
 
 def answer_statistics(answers: Array) -> dict[str, float]:
@@ -141,7 +141,7 @@ def answer_statistics(answers: Array) -> dict[str, float]:
     return dict(zip(names, map(float, values), strict=True))
 
 
-def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
+def groups(outcomes: Sequence[SceneOutcome]) -> dict[str, list[SceneOutcome]]:
     """Group drives by what makes a scene difficult; groups without a drive are left out."""
     members_by_name = {
         "all": list(outcomes),
@@ -154,7 +154,7 @@ def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
     return {name: members for name, members in members_by_name.items() if members}
 
 
-def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def summary(outcomes: Sequence[SceneOutcome]) -> dict[str, Any]:
     """Return the figures of a group of drives, at least one; their units are in their names.
 
     Times and energies are those of the drives that reached their goals. Gaps are those of the

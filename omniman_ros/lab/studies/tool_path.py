@@ -79,7 +79,7 @@ class StreamedArm:
 
 
 @dataclass(frozen=True)
-class Wheels:
+class WheelSettings:
     """Settings of a robot's drives, and errors of its wheels."""
 
     about: str  #: description in the tables
@@ -88,11 +88,11 @@ class Wheels:
 
 
 @dataclass(frozen=True)
-class Case:
+class ToolPathCase:
     """One drive of the study."""
 
     course: str  #: name of the path, a key of `tool_courses.COURSES`
-    wheels: Wheels
+    wheels: WheelSettings
     options: ToolPathOptions = field(default_factory=ToolPathOptions)  #: such as the correction
     seed: int = 0  #: seed of the latencies
 
@@ -122,18 +122,18 @@ LOW_GAINS = {
     "position.k_theta": 2.0,
 }  #: Parameters of P velocity loops under a position control with low gains and no feed-forward
 MOST_DEMANDING = "soft"  #: name of the wheels with which the platform deviates most from its path
-WHEELS: Mapping[str, Wheels] = {
-    "PI": Wheels("wheels of the demo", {}, DEMO_MISMATCH),
-    "P": Wheels("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
-    MOST_DEMANDING: Wheels("the same, low position gains", LOW_GAINS, LARGE_MISMATCH),
+WHEELS: Mapping[str, WheelSettings] = {
+    "PI": WheelSettings("wheels of the demo", {}, DEMO_MISMATCH),
+    "P": WheelSettings("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
+    MOST_DEMANDING: WheelSettings("the same, low position gains", LOW_GAINS, LARGE_MISMATCH),
 }  #: Wheels of the study, by name
 
 
 @dataclass(frozen=True)
-class Run:
+class ToolPathRun:
     """A completed drive, at k times of the tool's motion."""
 
-    case: Case  #: the case
+    case: ToolPathCase  #: the case
     times: Array  #: (k,) times since the beginning of the motion [s]
     reference: Array  #: (k, 3) reference positions of the tool in odom [m]
     odom: Array  #: (k, 3) positions by the arm's true angles and the platform's measured pose [m]
@@ -159,7 +159,7 @@ class ToolPathLoop:
     def __init__(
         self,
         platform: ClosedLoop,
-        case: Case,
+        case: ToolPathCase,
         motion: ToolPlan,
         model: WholeBodyModel,
         arm: StreamedArm,
@@ -174,7 +174,7 @@ class ToolPathLoop:
         self._arm_rows: list[Array] = []
         self._platform_rows: list[Array] = []
 
-    def run(self) -> Run:
+    def run(self) -> ToolPathRun:
         """Drive the motion once, and return the completed drive."""
         end = MOTION_START + self._motion.curve.duration + RECORDING_TAIL
         arm_due = self._arm.period
@@ -260,7 +260,7 @@ class ToolPathLoop:
         except InputError as error:
             raise StudyError(f"{self._case.wheels.about}: arm/joint_reference: {error}") from error
 
-    def _completed_run(self) -> Run:
+    def _completed_run(self) -> ToolPathRun:
         """Return the drive, evaluated at the cycles of the arm during the motion."""
         arm, platform = np.array(self._arm_rows), np.array(self._platform_rows)
         times = arm[:, 0]
@@ -277,7 +277,7 @@ class ToolPathLoop:
         errors = poses[:, :3] - self._motion.curve.sample(times - MOTION_START)[0][:, :3]
         errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         trace = np.einsum("kij,kij->k", measured[:, :3, :3], reference[:, :3, :3])
-        return Run(
+        return ToolPathRun(
             self._case,
             times - MOTION_START,
             reference[:, :3, 3],

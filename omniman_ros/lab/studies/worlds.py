@@ -9,7 +9,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.lab.studies.scene_geometry import MovingObstacle, Wall
+from omniman_ros.lab.studies.scene_geometry import MovingObstacle, WallRectangle
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world import scene as things
 from omniman_ros.simulation.world.parameters import WorldParameters
@@ -61,7 +61,7 @@ def scene_world(
     wheels: str,
     start: Triple,
     obstacles: Sequence[MovingObstacle],
-    walls: Sequence[Wall] = (),
+    walls: Sequence[WallRectangle] = (),
     posture: Sequence[float] | None = None,
 ) -> WorldChoice:
     """Return a scene as a world, in which the engine tells contact: columns and walls.
@@ -98,7 +98,7 @@ def obstacle_name(index: int) -> str:
     return f"obstacle {index + 1}"
 
 
-def _wall(index: int, wall: Wall) -> things.Wall:
+def _wall(index: int, wall: WallRectangle) -> things.Wall:
     """Return a wall of the world from its middle, heading and length."""
     half = 0.5 * wall.length
     along = half * math.cos(wall.heading), half * math.sin(wall.heading)

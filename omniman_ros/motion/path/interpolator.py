@@ -13,7 +13,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.motion.path import polyline
-from omniman_ros.motion.path.pace import LEAD, Demand
+from omniman_ros.motion.path.pace import LEAD, LimitUsage
 from omniman_ros.motion.path.parameters import TICK, PathParameters
 from omniman_ros.motion.path.planner import AT_REST, PathPlanner, Plan
 from omniman_ros.motion.path.trajectory import Trajectory
@@ -39,7 +39,7 @@ class RefusedError(OmnimanError):
 
 
 @dataclass(frozen=True)
-class Proposal:
+class PathProposal:
     """A planned path that has not been started."""
 
     #: Motion along the path; from rest, it starts when the proposal is accepted
@@ -69,7 +69,7 @@ class PathInterpolator:
 
     def propose(
         self, poses: Array, pose: tuple[float, float, float], now: float, lead: float = 0.0
-    ) -> Proposal:
+    ) -> PathProposal:
         """Plan a path of the platform without changing the motion under way.
 
         Args:
@@ -85,7 +85,7 @@ class PathInterpolator:
             return self._from_rest(poses, np.array(pose))
         return self._on_the_move(poses, self._trajectory, now, lead)
 
-    def take(self, proposal: Proposal, now: float) -> bool:
+    def take(self, proposal: PathProposal, now: float) -> bool:
         """Start a proposal; return False if it comes too late for the motion under way."""
         trajectory, since = proposal.trajectory, proposal.since
         if since is None:
@@ -97,15 +97,17 @@ class PathInterpolator:
         self.scale_limits(self.limit_scale, now)
         return True
 
-    def _from_rest(self, poses: Array, pose: Array) -> Proposal:
+    def _from_rest(self, poses: Array, pose: Array) -> PathProposal:
         self._near(poses[0], pose)
         planner = self.parameters.planner().slower(self.limit_scale)
         plan = planner.plan(np.vstack([pose, self._headed(poses, float(pose[2]))]))
-        return Proposal(Trajectory(0.0, TICK, plan.ticks, planner.smoother), None, plan, planner)
+        return PathProposal(
+            Trajectory(0.0, TICK, plan.ticks, planner.smoother), None, plan, planner
+        )
 
     def _on_the_move(
         self, poses: Array, trajectory: Trajectory, now: float, lead: float
-    ) -> Proposal:
+    ) -> PathProposal:
         i, planner = self._next(trajectory, now + lead), self._planner
         position, velocity = self._motion(trajectory, i)
         headed = self._headed(poses, float(position[2]))
@@ -118,7 +120,7 @@ class PathInterpolator:
             self._near(headed[0], position)
             planner = planner.slower(self.limit_scale)
             plan = planner.plan(np.vstack([position, headed]))
-        return Proposal(
+        return PathProposal(
             trajectory.continued(now, i, plan.ticks), trajectory.time(i), plan, planner
         )
 
@@ -279,12 +281,12 @@ class PathInterpolator:
         assert self._trajectory is not None
         return self._trajectory.sample(times)
 
-    def demand(self, times: Array) -> Demand | None:
+    def demand(self, times: Array) -> LimitUsage | None:
         """Return the use of the limits at times (k,) [s]; None without a path."""
         if self._trajectory is None:
             return None
         _, v, a = self.sample(times)
-        return Demand.of(self._planner.groups, v, a)
+        return LimitUsage.of(self._planner.groups, v, a)
 
     def progress(self, now: float) -> float:
         """Return the completed fraction of the path, 0 to 1; 0 without a path."""

@@ -15,9 +15,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
-from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints, State
+from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints, KinematicState
 from omniman_ros.motion.path.moving_target import MovingTarget, curve_to
-from omniman_ros.motion.path.pace import LEAD, Demand, Pace
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.path.window import Window
@@ -59,13 +59,13 @@ class JointMotion:
         paced = (pace or self.pace).sample(times)
         return paced.apply(*self.curve.sample(paced.motion - self.start))
 
-    def state(self, time: float) -> State:
+    def state(self, time: float) -> KinematicState:
         """Return the state at a time [s]."""
-        return State(*(part[0] for part in self.sample(np.array([time]))))
+        return KinematicState(*(part[0] for part in self.sample(np.array([time]))))
 
-    def _demand(self, times: Array) -> Demand:
+    def _demand(self, times: Array) -> LimitUsage:
         _, v, a = self.curve.sample(times - self.start)
-        return Demand.of(self._groups, v, a)
+        return LimitUsage.of(self._groups, v, a)
 
 
 class JointInterpolator:
@@ -104,7 +104,9 @@ class JointInterpolator:
         if self._motion is None:
             if points.times is None:
                 return JointProposal(self.planner.fastest(points, here), start, None)
-            return JointProposal(self.planner.timed(points, State.rest(here)), start, None)
+            return JointProposal(
+                self.planner.timed(points, KinematicState.rest(here)), start, None
+            )
         since = max(now + lead + LEAD * TICK, self._since, -math.inf if start is None else start)
         motion = self._motion
         if points.times is None:
@@ -122,7 +124,7 @@ class JointInterpolator:
             InputError: The target cannot be reached.
         """
         options, soonest = self.planner.options, now + LEAD * TICK
-        motion, since, state = self._motion, None, State.rest(here)
+        motion, since, state = self._motion, None, KinematicState.rest(here)
         if motion is not None:
             soonest = since = max(soonest + lead, self._since)
             state = motion.state(since)
@@ -230,12 +232,12 @@ class JointInterpolator:
         assert self._motion is not None
         return self._motion.pace.sample(times).motion - self._motion.start
 
-    def demand(self, times: Array) -> Demand | None:
+    def demand(self, times: Array) -> LimitUsage | None:
         """Return the use of the limits at increasing times (k,) [s]; None if idle."""
         if self._motion is None:
             return None
         _, v, a = self.sample(times)
-        return Demand.of(self.planner.limits.groups(1.0, 0.0), v, a)
+        return LimitUsage.of(self.planner.limits.groups(1.0, 0.0), v, a)
 
     def stop_window(self, now: float) -> Window | None:
         """Return the last stretch of a stream: from now on down to rest on the path.

@@ -90,7 +90,7 @@ class JointPoints:
 
 
 @dataclass(frozen=True)
-class State:
+class KinematicState:
     """Position, velocity and acceleration (d,) of all axes at an instant."""
 
     position: Array
@@ -98,7 +98,7 @@ class State:
     acceleration: Array
 
     @classmethod
-    def rest(cls, position: Array) -> "State":
+    def rest(cls, position: Array) -> "KinematicState":
         """Create a state of rest at a position (d,)."""
         return cls(np.array(position, dtype=float), *np.zeros((2, len(position))))
 
@@ -112,7 +112,7 @@ class JointPlanner:
         groups = limits.groups(scale, options.corner_tolerance)
         self._planner = PathPlanner(groups, dt, limits.speed_cap(scale))
 
-    def timed(self, points: JointPoints, state: State) -> TimedCurve:
+    def timed(self, points: JointPoints, state: KinematicState) -> TimedCurve:
         """Plan the motion that keeps the times of the points, from a state on.
 
         From positions only, the motion minimises the jerk; with velocities, its third derivative
@@ -171,7 +171,7 @@ class JointPlanner:
         times: Array = self._dt * np.arange(len(motion.positions), dtype=float)
         return TimedCurve(times, motion.positions, motion.velocities, motion.accelerations)
 
-    def _started(self, points: JointPoints, state: State) -> JointPoints:
+    def _started(self, points: JointPoints, state: KinematicState) -> JointPoints:
         assert points.times is not None
         if points.times[0] > round_off.SAME_TIME:
             return points

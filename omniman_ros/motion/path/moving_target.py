@@ -9,7 +9,7 @@ from omniman_ros.core import round_off
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.axis_limits import AxisLimits
-from omniman_ros.motion.path.joint_points import JointPoints, State
+from omniman_ros.motion.path.joint_points import JointPoints, KinematicState
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
@@ -19,8 +19,8 @@ SHORTEST = 4.0 * TICK  #: Shortest time to the target that is tried [s]
 LONGEST = 1.0  #: Longest time to the target [s]: what is farther away is no point of a stream
 STOPS = 130  #: Number of times to rest that are tried, up to 17 s
 GROWTH = 1.05  #: Ratio of two times to the target that are tried one after the other
-#: Share of the limits that is used where less does not suffice; the grid misses up to 0.4 %
-FULL_SHARE = 0.99
+#: Fraction of the limits that is used where less does not suffice; the grid misses up to 0.4 %
+FULL_FRACTION = 0.99
 #: Number of motions whose limits are checked exactly, of those that keep them on the grid
 MOST_CHECKS = 4
 #: Grid of a piece's elapsed fraction on which limits are checked
@@ -58,7 +58,7 @@ class MovingTarget:
 
 
 def curve_to(
-    target: MovingTarget, state: State, limits: AxisLimits, reserve: float, hold: float
+    target: MovingTarget, state: KinematicState, limits: AxisLimits, reserve: float, hold: float
 ) -> TimedCurve:
     """Plan a motion that meets a target as soon as the limits allow, and then comes to rest.
 
@@ -86,13 +86,13 @@ def curve_to(
     count = max(int(np.log(LONGEST / first) / np.log(GROWTH)), 0) + 1
     spans: Array = first * GROWTH ** np.arange(count, dtype=float)
     moving = [velocity, 0.0 * velocity] if velocity.any() else [velocity]
-    for share in (1.0 - reserve, FULL_SHARE):
+    for fraction in (1.0 - reserve, FULL_FRACTION):
         for end_velocity in moving:
             ahead = np.clip(spans - target.due, 0.0, hold)[:, None]
             ends = place + ahead * end_velocity
             others = np.delete(np.arange(len(place)), columns)
-            ends[:, others] = _rest_places(state, spans)[:, others]
-            found = _Meetings(spans, ends, end_velocity).kept(state, limits, share)
+            ends[:, others] = _rest_positions(state, spans)[:, others]
+            found = _Meetings(spans, ends, end_velocity).kept(state, limits, fraction)
             curve = next(found, None)
             if curve is not None:
                 return curve
@@ -106,21 +106,21 @@ def curve_to(
     )
 
 
-def _braked(state: State, limits: AxisLimits) -> TimedCurve:
+def _braked(state: KinematicState, limits: AxisLimits) -> TimedCurve:
     """Return the shortest motion to rest, from which the next point may be reached.
 
     Raises:
         InputError: None keeps the limits; the motion under way does, to its end.
     """
     spans: Array = SHORTEST * GROWTH ** np.arange(STOPS, dtype=float)
-    stops = _Meetings(spans, _rest_places(state, spans), np.zeros(len(state.position)))
-    curve = next(stops.kept(state, limits, FULL_SHARE), None)
+    stops = _Meetings(spans, _rest_positions(state, spans), np.zeros(len(state.position)))
+    curve = next(stops.kept(state, limits, FULL_FRACTION), None)
     if curve is None:
         raise InputError("the point cannot be reached from the motion under way")
     return curve
 
 
-def _rest_places(state: State, spans: Array) -> Array:
+def _rest_positions(state: KinematicState, spans: Array) -> Array:
     """Return the places (n, d) at which axes rest that have times (n,) [s] to stop."""
     t = spans[:, None]
     places: Array = state.position + t * (0.5 * state.velocity + t / 12.0 * state.acceleration)
@@ -135,9 +135,15 @@ class _Meetings:
     ends: Array
     velocity: Array
 
-    def kept(self, state: State, limits: AxisLimits, share: float) -> Iterator[TimedCurve]:
-        """Yield the motions that keep a share of the limits, the shortest first."""
-        v, a, j = share * limits.velocity, share * limits.acceleration, share * limits.jerk
+    def kept(
+        self, state: KinematicState, limits: AxisLimits, fraction: float
+    ) -> Iterator[TimedCurve]:
+        """Yield the motions that keep a fraction of the limits, the shortest first."""
+        v, a, j = (
+            fraction * limits.velocity,
+            fraction * limits.acceleration,
+            fraction * limits.jerk,
+        )
         stop = max(
             float((1.5 * np.abs(self.velocity) / a).max()),
             float(np.sqrt(6.0 * np.abs(self.velocity) / j).max()),
@@ -170,7 +176,7 @@ class _Meetings:
                     continue
             yield curve
 
-    def _rates(self, state: State) -> tuple[Array, Array, Array]:
+    def _rates(self, state: KinematicState) -> tuple[Array, Array, Array]:
         """Return x', x'' and x''' (grid, n, d) of the pieces that lead to the target."""
         t, u = self.spans[:, None], _U[:, :, None]
         v0, v1, a0 = state.velocity * t, self.velocity * t, state.acceleration * t * t

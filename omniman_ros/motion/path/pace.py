@@ -34,7 +34,7 @@ MAX_SETTLING_TIME = 600.0  #: Upper bound of the time in which the pace reaches 
 
 
 @dataclass(frozen=True)
-class Demand:
+class LimitUsage:
     """Use of the limits by motions at k times, in g groups of axes; arrays (k, g)."""
 
     speed: Array  #: x' . x' over the square of the acceleration limit [s^2]
@@ -45,7 +45,7 @@ class Demand:
     @classmethod
     def of(
         cls, groups: tuple[AxisGroup, ...], velocities: Array, accelerations: Array
-    ) -> "Demand":
+    ) -> "LimitUsage":
         """Compute the demand of velocities and accelerations (k, d) on the limits of groups."""
         parts = []
         for group in groups:
@@ -56,14 +56,14 @@ class Demand:
         return cls(*(np.column_stack(columns) for columns in zip(*parts, strict=True)))
 
     @classmethod
-    def none(cls, count: int) -> "Demand":
+    def none(cls, count: int) -> "LimitUsage":
         """Create the demand of rest at a number of times."""
         return cls(*(np.zeros((count, 1)) for _ in range(4)))
 
-    def beside(self, other: "Demand") -> "Demand":
+    def beside(self, other: "LimitUsage") -> "LimitUsage":
         """Return the demand of this motion and another one together."""
         names = self.__dataclass_fields__
-        return Demand(*(np.hstack([getattr(self, n), getattr(other, n)]) for n in names))
+        return LimitUsage(*(np.hstack([getattr(self, n), getattr(other, n)]) for n in names))
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Pace:
         target: Pace that is aimed for, 0 to 1.
     """
 
-    def __init__(self, demand: Callable[[Array], Demand], tick: float) -> None:
+    def __init__(self, demand: Callable[[Array], LimitUsage], tick: float) -> None:
         self._demand, self._tick = demand, tick
         self.target, self._at_once = 1.0, False
         self._times: list[float] = []  # times of the knots; without knots, motion time is time
@@ -194,7 +194,7 @@ class Pace:
         slope = self._next_slope(self._demand_at(motion, 0), 0, rate, past[-1][3] if past else 0.0)
         self._knots([*past[max(old - 1, 0) :], (begin, motion, rate, slope)])
 
-    def _demand_at(self, motion: float, steps: int) -> Demand:
+    def _demand_at(self, motion: float, steps: int) -> LimitUsage:
         """Return the demand at the ticks from a motion time [s] on, two more than `steps` + 1."""
         return self._demand(motion + self._tick * np.arange(steps + 3, dtype=float))
 
@@ -218,7 +218,7 @@ class Pace:
                 if self._settled:
                     return
 
-    def _next_slope(self, demand: Demand, i: int, rate: float, slope: float) -> float:
+    def _next_slope(self, demand: LimitUsage, i: int, rate: float, slope: float) -> float:
         dt, gap = self._tick, self.target - rate
         if gap == 0.0:
             return 0.0
@@ -237,7 +237,9 @@ class Pace:
         desired = min(desired, gap / dt) if gap > 0.0 else max(desired, gap / dt)
         return min(max(desired, -rate / dt), (1.0 - rate) / dt)
 
-    def _allowed(self, demand: Demand, i: int, rate: float, margin: float) -> tuple[float, float]:
+    def _allowed(
+        self, demand: LimitUsage, i: int, rate: float, margin: float
+    ) -> tuple[float, float]:
         """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick."""
         speed = np.maximum(demand.speed[i : i + 3], 1e-18)
         square = rate * rate

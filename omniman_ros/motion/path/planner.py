@@ -27,7 +27,7 @@ AT_REST = 1e-9
 EXIT_LENGTH = 1.1
 
 
-class Route:
+class CurveSequence:
     """Sequence of curves, each from the end of the one before, with a rest at the end of each."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
@@ -44,7 +44,7 @@ class Route:
 class Plan:
     """A route and a motion along it."""
 
-    route: Route  #: Curves of the path
+    route: CurveSequence  #: Curves of the path
     ticks: Ticks  #: Motion at the ticks, with a final rest that lasts as long as the smoothing
     bound: float  #: Minimum time for the same curves without jerk limits [s]
     duration: float  #: Duration of the motion [s]
@@ -125,7 +125,7 @@ class PathPlanner:
         point: Array = position + slope * (EXIT_LENGTH * rate * rate / (2.0 * deceleration))
         return point
 
-    def drive(self, route: Route, section: int, u: float, rate: float) -> Ticks:
+    def drive(self, route: CurveSequence, section: int, u: float, rate: float) -> Ticks:
         """Plan the ticks from a point of a route to its end; the first tick is at that point.
 
         The point and its u' must be from ticks of this planner, so that a stop in time is
@@ -139,7 +139,7 @@ class PathPlanner:
             raise AssertionError(f"cannot stop from u = {u}, u' = {rate} of section {section}")
         return ticks
 
-    def stop(self, route: Route, section: int, u: float, rate: float) -> Ticks:
+    def stop(self, route: CurveSequence, section: int, u: float, rate: float) -> Ticks:
         """Plan the ticks from a point of a route to rest, as soon as the limits allow."""
         if rate <= AT_REST:
             return self._resting(route, section, np.array([u]))
@@ -148,8 +148,8 @@ class PathPlanner:
 
     def _chosen(self, points: Array, velocity: Array | None) -> Plan:
         fine, coarse = (
-            self._reduced(points, share, velocity)
-            for share in (FINE_SIMPLIFICATION, COARSE_SIMPLIFICATION)
+            self._reduced(points, fraction, velocity)
+            for fraction in (FINE_SIMPLIFICATION, COARSE_SIMPLIFICATION)
         )
         plan = self._planned(fine, FINE_SIMPLIFICATION, velocity)
         if 1 < len(coarse) < len(fine):
@@ -158,27 +158,27 @@ class PathPlanner:
                 return quick
         return plan
 
-    def _reduced(self, points: Array, share: float, velocity: Array | None) -> Array:
+    def _reduced(self, points: Array, fraction: float, velocity: Array | None) -> Array:
         kept = points[:0] if velocity is None else points[:1]
         rest = polyline.remove_repeats(points[len(kept) :], self._scale)
-        rest = polyline.simplify(rest, share * self._scale)
+        rest = polyline.simplify(rest, fraction * self._scale)
         # The remaining points may lead away and back to the same point.
         return np.vstack([kept, polyline.remove_repeats(rest, self._scale)])
 
-    def _planned(self, points: Array, share: float, velocity: Array | None) -> Plan:
-        """Plan through points, whose simplification used a share of the tolerance.
+    def _planned(self, points: Array, fraction: float, velocity: Array | None) -> Plan:
+        """Plan through points, whose simplification used a fraction of the tolerance.
 
         The motion starts from rest if `velocity` is None.
         """
         rate = 0.0
         if velocity is not None:
             rate = float(max_utilisation(self._groups, velocity, self._speeds))
-        route = self._route(points, share, moving=velocity is not None)
+        route = self._route(points, fraction, moving=velocity is not None)
         ticks, bound = self._driven(route, 0, 0.0, rate)
         if ticks is None:
             # The path bends too soon for the present speed: stop first.
-            first = Curve(points[:2], self._groups, self._room(share))
-            route = Route([first, *self._route(points[1:], share, moving=False).curves])
+            first = Curve(points[:2], self._groups, self._room(fraction))
+            route = CurveSequence([first, *self._route(points[1:], fraction, moving=False).curves])
             brake = TimeProfiler(self._groups).fastest(first, 0.0, rate)
             assert brake is not None
             rest, later = self._driven(route, 1, 0.0, 0.0)
@@ -189,16 +189,16 @@ class PathPlanner:
             )
         return Plan(route, ticks, bound, (len(ticks) - 1) * self.dt)
 
-    def _room(self, share: float) -> list[float]:
+    def _room(self, fraction: float) -> list[float]:
         return [
-            (1.0 - share) * group.tolerance - smear
+            (1.0 - fraction) * group.tolerance - smear
             for group, smear in zip(self._groups, self._smear, strict=True)
         ]
 
-    def _route(self, points: Array, share: float, moving: bool) -> Route:
+    def _route(self, points: Array, fraction: float, moving: bool) -> CurveSequence:
         if len(points) < 2:
             raise InputError("there is nothing to drive: the robot is already there")
-        room = self._room(share)
+        room = self._room(fraction)
         steps = np.diff(points, axis=0)
         slopes = steps / max_utilisation(self._groups, steps, self._speeds)[:, None]
         changes = np.diff(slopes, axis=0)
@@ -209,7 +209,7 @@ class PathPlanner:
         if moving:
             stops[:1] = False
         ends = np.concatenate([[0], np.flatnonzero(stops) + 1, [len(points) - 1]])
-        return Route(
+        return CurveSequence(
             [
                 Curve(points[a : b + 1], self._groups, room, free_first_corner=moving and a == 0)
                 for a, b in itertools.pairwise(ends)
@@ -217,7 +217,7 @@ class PathPlanner:
         )
 
     def _driven(
-        self, route: Route, section: int, u: float, rate: float
+        self, route: CurveSequence, section: int, u: float, rate: float
     ) -> tuple[Ticks | None, float]:
         """Return the ticks from a point to the route's end, and the time without smoothing [s]."""
         bound, total, parts = 0.0, 0.0, []
@@ -240,7 +240,7 @@ class PathPlanner:
             u = rate = 0.0
         return concatenate(parts), bound
 
-    def _sampled(self, route: Route, section: int, profile: TimeProfile) -> Ticks:
+    def _sampled(self, route: CurveSequence, section: int, profile: TimeProfile) -> Ticks:
         count = int(np.ceil(profile.duration / self.dt - 1e-9)) + 1 + self.smoother.memory
         u, rate = profile.at(self.dt * np.arange(count, dtype=float))
         return Ticks(
@@ -251,7 +251,7 @@ class PathPlanner:
             route.progress(section, u),
         )
 
-    def _resting(self, route: Route, section: int, u: Array) -> Ticks:
+    def _resting(self, route: CurveSequence, section: int, u: Array) -> Ticks:
         u = np.repeat(u, 1 + self.smoother.memory)
         return Ticks(
             route.curves[section].at(u),

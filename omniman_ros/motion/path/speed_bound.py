@@ -1,4 +1,4 @@
-"""Pace at which a motion keeps to shares of the limits of speed."""
+"""Pace at which a motion keeps to fractions of the limits of speed."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ HEADROOM = 0.95  #: Part of the allowed speed that the motion uses; the rest is 
 
 @dataclass(frozen=True)
 class SpeedBound:
-    """Limits of speed to which the shares of a motion limit refer."""
+    """Limits of speed to which the fractions of a motion limit refer."""
 
     linear: float  #: Linear speed of the platform [m/s]
     angular: float  #: Yaw rate [rad/s]
@@ -31,7 +31,7 @@ class SpeedBound:
         platform_use = max(linear / self.linear, float(v[:, 2].max()) / self.angular)
         arm_use = float((v[:, 3:] / self.rates).max())
         pace = 1.0
-        for use, share in ((platform_use, platform), (arm_use, arm)):
-            if share < 1.0 and use > 0.0:
-                pace = min(pace, HEADROOM * share / use)
+        for use, fraction in ((platform_use, platform), (arm_use, arm)):
+            if fraction < 1.0 and use > 0.0:
+                pace = min(pace, HEADROOM * fraction / use)
         return pace

@@ -44,7 +44,7 @@ class Ending(Enum):
 
 
 @dataclass(frozen=True)
-class Verdict:
+class GoalResult:
     """Result of a goal that has ended."""
 
     ending: Ending  #: Terminal state
@@ -238,7 +238,7 @@ class GoalMonitor:
         desired: tuple[Array, ...] | None,
         actual: tuple[Array, ...] | None,
         outcome: str | None,
-    ) -> Verdict | None:
+    ) -> GoalResult | None:
         """Check the axes against the tolerances; return the result once the goal has ended.
 
         Args:
@@ -251,20 +251,20 @@ class GoalMonitor:
                 self._check_path(desired, actual)
             return None
         if self._violated:
-            return Verdict(Ending.ABORTED, ErrorCode.PATH_TOLERANCE_VIOLATED, self._violated)
+            return GoalResult(Ending.ABORTED, ErrorCode.PATH_TOLERANCE_VIOLATED, self._violated)
         if self._cancelled:
-            return Verdict(
+            return GoalResult(
                 Ending.CANCELED, ErrorCode.SUCCESSFUL, outcome or "it had already arrived"
             )
         if outcome:
-            return Verdict(Ending.ABORTED, ErrorCode.INVALID_GOAL, outcome)
+            return GoalResult(Ending.ABORTED, ErrorCode.INVALID_GOAL, outcome)
         return self._settle(now, actual)
 
     def _check_path(self, desired: tuple[Array, ...], actual: tuple[Array, ...]) -> None:
         errors = np.array([self.error(desired[0], actual[0]), desired[1] - actual[1]])
         self._violated = self._worst(errors, self._tolerances.path, "from its reference")
 
-    def _settle(self, now: float, actual: tuple[Array, ...] | None) -> Verdict | None:
+    def _settle(self, now: float, actual: tuple[Array, ...] | None) -> GoalResult | None:
         if self._ended is None or now < self._ended:
             self._ended = now
         reason = "its axes are not measured"
@@ -273,12 +273,12 @@ class GoalMonitor:
             errors[:, ~self._named] = 0.0
             reason = self._worst(errors, self._tolerances.goal, "from its goal")
         if not reason:
-            return Verdict(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
+            return GoalResult(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
         late = now - self._ended
         if late <= self._tolerances.time:
             return None
         text = f"{late:.2f} s after its end: {reason}"
-        return Verdict(Ending.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
+        return GoalResult(Ending.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
 
     def _shortest(self, errors: Array) -> Array:
         revolutions = np.where(self._is_heading, np.rint(errors / (2.0 * math.pi)), 0.0)

@@ -83,7 +83,7 @@ def approach_speed(distance: float, gain: float, deceleration: float) -> float:
     return math.copysign(speed, distance)
 
 
-def way_around(start: Vector, goal: Vector, radius: float) -> tuple[float, Vector]:
+def path_around(start: Vector, goal: Vector, radius: float) -> tuple[float, Vector]:
     """Return the shortest way to a goal around a disc at the origin.
 
     Args:
@@ -319,7 +319,7 @@ class StationKeeper:
             0.5 * self._limiter.limits.deceleration[0],
         )
         radius = min(self._parameters.least_distance, math.hypot(*station))
-        length, direction = way_around(place, station, radius)
+        length, direction = path_around(place, station, radius)
         speed = approach_speed(length, gain, deceleration)
         ux, uy = velocity[0] + speed * direction[0], velocity[1] + speed * direction[1]
         distance = math.hypot(*place)

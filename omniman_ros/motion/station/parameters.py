@@ -110,8 +110,8 @@ class StationParameters:
 
     def usable_limits(self, scale: float) -> TwistLimits:
         """Return the limits that a reference keeps, with the largest speeds of the options."""
-        share, limits = scale * (1.0 - self.station.reserve), self.limits
-        usable = {name: share * getattr(limits, name) for name in limits.__dataclass_fields__}
+        fraction, limits = scale * (1.0 - self.station.reserve), self.limits
+        usable = {name: fraction * getattr(limits, name) for name in limits.__dataclass_fields__}
         for name in ("linear_velocity", "angular_velocity"):
             usable[name] = min(usable[name], getattr(self.station, name))
         return replace(limits, **usable)

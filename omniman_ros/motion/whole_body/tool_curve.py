@@ -24,7 +24,7 @@ from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 #: Fractions of the tolerance for omitted poses, for corners, and for the average over u
 ToleranceSplit = tuple[float, float, float]
 
-LEVER = 0.4  #: Length that corresponds to a rotation [m/rad]
+ROTATION_LENGTH = 0.4  #: Length that corresponds to a rotation [m/rad]
 FINE = (0.25, 0.5, 0.2)  #: Tolerance split for clean poses
 COARSE = (0.7, 0.2, 0.08)  #: Tolerance split for noisy poses
 #: Fraction of the poses that remains with COARSE, up to which the poses count as noisy
@@ -65,7 +65,7 @@ class ToolCurve:
         room = rounded * options.tolerance, rounded * options.angular_tolerance / math.sqrt(2.0)
         groups = (
             AxisGroup((0, 1, 2), 1.0, MAX_BEND, 1.0, room[0]),
-            AxisGroup((3, 4, 5), 1.0 / LEVER, MAX_BEND / LEVER, 1.0, room[1]),
+            AxisGroup((3, 4, 5), 1.0 / ROTATION_LENGTH, MAX_BEND / ROTATION_LENGTH, 1.0, room[1]),
         )
         steps = np.diff(points, axis=0)
         spans = max_utilisation(groups, steps, [group.velocity for group in groups])
@@ -155,7 +155,7 @@ class ToolCurve:
         i = int(np.clip(np.searchsorted(self._kept_at, u) - 1, 0, len(self._kept_at) - 2))
         first, last = int(self._kept_index[i]), int(self._kept_index[i + 1])
         difference = self.given[first : last + 1] - self.at(np.array([u]))
-        difference[:, 3:] *= LEVER
+        difference[:, 3:] *= ROTATION_LENGTH
         return first + int((difference * difference).sum(axis=1).argmin())
 
     def _kept(self, options: ToolPathOptions) -> tuple[NDArray[np.intp], ToleranceSplit]:
@@ -168,10 +168,10 @@ class ToolCurve:
         if len(rows) < 2:
             raise InputError("there is nothing to do: the tool is already there")
         kept = []
-        for shares in (FINE, COARSE):
-            simplified = polyline.simplify(rows, np.append(shares[0] * scale, np.inf))
+        for fractions in (FINE, COARSE):
+            simplified = polyline.simplify(rows, np.append(fractions[0] * scale, np.inf))
             simplified = polyline.remove_repeats(simplified, np.append(scale, np.inf))
-            kept.append((simplified[:, 6].astype(np.intp), shares))
+            kept.append((simplified[:, 6].astype(np.intp), fractions))
         fine, coarse = kept
         return coarse if 2 <= len(coarse[0]) <= NOISY_FRACTION * len(fine[0]) else fine
 
@@ -260,7 +260,7 @@ def _rotated(rotation: Array, vectors: Array) -> Array:
 
 
 def _averaged(
-    curve: Curve, options: ToolPathOptions, groups: tuple[AxisGroup, AxisGroup], share: float
+    curve: Curve, options: ToolPathOptions, groups: tuple[AxisGroup, AxisGroup], fraction: float
 ) -> tuple[Array, Array, Array, Array]:
     """Return knots (p + 1,), values, slopes, bends (p + 1, 6) of a curve's average over a window.
 
@@ -272,7 +272,7 @@ def _averaged(
         groups, (options.tolerance, options.angular_tolerance / math.sqrt(2.0)), strict=True
     ):
         bend = float(group.norm(curve.bends).max())
-        window = min(window, math.sqrt(24.0 * share * tolerance / max(bend, 1e-9)))
+        window = min(window, math.sqrt(24.0 * fraction * tolerance / max(bend, 1e-9)))
     half = 0.5 * window
     knots, bends = curve.knots, curve.bends
     head = int(np.searchsorted(knots, half, side="right"))

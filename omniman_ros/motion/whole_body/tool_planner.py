@@ -12,7 +12,7 @@ from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_timing import PathProgress, ToolTimer
 from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
@@ -51,7 +51,7 @@ class ToolPlanner:
         self, model: WholeBodyModel, limits: WholeBodyLimits, options: ToolPathOptions
     ) -> None:
         self._model, self._limits, self._options = model, limits, options
-        self._resolver = PostureResolver(model, limits, options)
+        self._resolver = RedundancyResolver(model, limits, options)
         self._timer = ToolTimer(limits, options)
 
     def plan(self, poses: Array, start: Array) -> ToolPlan:

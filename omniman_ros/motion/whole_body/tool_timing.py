@@ -181,13 +181,13 @@ class ToolTimer:
         bounds = limits.velocity, limits.acceleration, limits.jerk
         for order, (_, values) in enumerate(curve.extremes()):
             if order > 0:
-                share = float((np.abs(values) / bounds[order - 1]).max())
-                worst = max(worst, share ** (1.0 / order))
+                fraction = float((np.abs(values) / bounds[order - 1]).max())
+                worst = max(worst, fraction ** (1.0 / order))
         velocities, accelerations = curve.velocities[:, :2], curve.accelerations[:, :2]
         jerks = np.diff(accelerations, axis=0) / TICK
         for order, values in enumerate((velocities, accelerations, jerks), start=1):
-            share = float(np.hypot(*values.T).max() / bounds[order - 1][0])
-            worst = max(worst, share ** (1.0 / order))
+            fraction = float(np.hypot(*values.T).max() / bounds[order - 1][0])
+            worst = max(worst, fraction ** (1.0 / order))
         cap = limits.speed_cap(1.0)(curve.positions, curve.velocities)
         return max(worst, float(1.0 / cap.min()))
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.motion.whole_body.posture import Postures
+from omniman_ros.motion.whole_body.redundancy_resolver import RobotConfigurations
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 
 SAMPLE_SPACING = 0.005  #: Largest distance between samples [m of u]
@@ -52,12 +52,16 @@ class WholeBodyPath:
     """
 
     def __init__(
-        self, model: WholeBodyModel, tool: ToolCurve, postures: Postures, branch: int
+        self,
+        model: WholeBodyModel,
+        tool: ToolCurve,
+        configurations: RobotConfigurations,
+        branch: int,
     ) -> None:
         self._model, self._branch = model, branch
         self.tool = tool
-        self._nodes, self._arm = postures.at, postures.arm
-        self._platform = PlatformSpline(postures.platform, tool.end)
+        self._nodes, self._arm = configurations.at, configurations.arm
+        self._platform = PlatformSpline(configurations.platform, tool.end)
 
     @property
     def end(self) -> float:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 LEAST_SHIFT = 5e-4  #: Distance by which a goal must have moved to be moved for the planner [m]
-LEAST_TURN = 5e-4  #: Angle by which a goal must have turned to be turned for the planner [rad]
+MIN_ROTATION = 5e-4  #: Angle by which a goal must have turned to be turned for the planner [rad]
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class GoalAnchor:
             return
         x, y, theta = goal.targets(np.array([now]))[0][0].tolist()
         dx, dy, turn = se2.displacement(self._anchor, anchor, (x, y, theta))
-        if math.hypot(dx, dy) > LEAST_SHIFT or abs(turn) > LEAST_TURN:
+        if math.hypot(dx, dy) > LEAST_SHIFT or abs(turn) > MIN_ROTATION:
             change = se2.compose(anchor, se2.inverse(self._anchor))
             self._anchor = anchor
             self._planner.displace_goal(change, now, obstacles)

@@ -12,7 +12,10 @@ from omniman_ros.nodes.motion_ledger import MotionLedger
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
-from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, SensorInterface
+from omniman_ros.nodes.planner_interfaces.sensor_interface import (
+    ArmConfigurationInterface,
+    SensorInterface,
+)
 from omniman_ros.planning.cycle import GoalOutcome, MeasuredState, PlannerState
 
 if TYPE_CHECKING:  # needs casadi, which is optional
@@ -118,7 +121,7 @@ class PlannerLoop:
         planner: "Planner",
         anchor: GoalAnchor,
         sensors: SensorInterface,
-        posture: PostureInterface,
+        posture: ArmConfigurationInterface,
         publisher: MotionPublisher,
         plans: PlanPublisher,
         monitor: StreamMonitor,

@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # needs casadi, which is optional
 REFERENCE = "arm/joint_reference"  #: Name of the topic of the arm's previews
 
 
-class PostureSource(Enum):
+class ArmConfigurationSource(Enum):
     """Source of the arm's posture; the values are those of the key `arm` of `mpc/status`."""
 
     NO_ARM = "no arm"
@@ -46,7 +46,7 @@ class PostureSource(Enum):
     ASSUMED = "assumed"
 
 
-class PostureInterface:
+class ArmConfigurationInterface:
     """Subscribes to `arm/joint_states` and `arm/joint_reference`, read when a cycle needs them."""
 
     def __init__(self, node: OmnimanNode, settings: ParameterSet[MpcPlannerParameters]) -> None:
@@ -71,35 +71,37 @@ class PostureInterface:
         self._reference = None
         self._expected: tuple[Array, Array] | None = None
 
-    def source(self, now: float) -> PostureSource:
+    def source(self, now: float) -> ArmConfigurationSource:
         """Return where the posture comes from at the time `now` [s]."""
         if not self._outline.has_arm:
-            return PostureSource.NO_ARM
+            return ArmConfigurationSource.NO_ARM
         if self._states.last is None:
-            return PostureSource.ASSUMED
+            return ArmConfigurationSource.ASSUMED
         is_fresh = now - self._states.last.time <= self._settings.value.footprint.states_timeout
-        return PostureSource.MEASURED if is_fresh else PostureSource.LAST_MEASURED
+        return (
+            ArmConfigurationSource.MEASURED if is_fresh else ArmConfigurationSource.LAST_MEASURED
+        )
 
     def silence_reason(self, now: float) -> str:
         """Return why the robot must wait for the arm's posture, or an empty string."""
         if not self._settings.value.footprint.required:
             return ""
-        if self.source(now) is PostureSource.ASSUMED:
+        if self.source(now) is ArmConfigurationSource.ASSUMED:
             return f"no {STATES} yet"
         last = self._states.last
-        if last is None or self.source(now) is not PostureSource.LAST_MEASURED:
+        if last is None or self.source(now) is not ArmConfigurationSource.LAST_MEASURED:
             return ""
         return f"{STATES} are {now - last.time:.1f} s old"
 
     def footprint(self, now: float) -> Footprint:
         """Return the footprint of the robot, from now [s] on to the end of the known preview."""
-        postures = self._postures(now)
-        if self._made is None or not np.array_equal(self._made[0], postures):
+        configurations = self._configurations(now)
+        if self._made is None or not np.array_equal(self._made[0], configurations):
             margin = self._settings.value.footprint.height_margin
-            self._made = postures, self._outline.footprint(postures, margin)
+            self._made = configurations, self._outline.footprint(configurations, margin)
         return self._made[1]
 
-    def _postures(self, now: float) -> Array:
+    def _configurations(self, now: float) -> Array:
         """Return the measured or assumed posture, and those that the arm goes to, (k, 6)."""
         if not self._outline.has_arm:
             return np.zeros((0, 6))
@@ -110,7 +112,7 @@ class PostureInterface:
             here = np.array(self._settings.value.footprint.posture)
         else:
             here = self._states.last.position
-        if self.source(now) is PostureSource.LAST_MEASURED:
+        if self.source(now) is ArmConfigurationSource.LAST_MEASURED:
             self._node.warn(STATES, f"no {STATES}: the arm counts as being where it was last")
         if self._expected is None:
             return here[None]

@@ -89,25 +89,25 @@ class LimitInterface:
 
     def _act(self) -> None:
         """Report a change of a fraction that is large enough."""
-        change = np.abs(np.array(self.shares) - self._acted_on).max()
+        change = np.abs(np.array(self.fractions) - self._acted_on).max()
         if change > CHANGE:
-            self._acted_on = self.shares
+            self._acted_on = self.fractions
             self._on_change()
 
     @property
-    def shares(self) -> tuple[float, float]:
+    def fractions(self) -> tuple[float, float]:
         """Fractions of the speed limits that platform and arm may use now, 0 to 1."""
         now = self._node.now()
-        return self._platform.share(now), self._arm.share(now)
+        return self._platform.fraction(now), self._arm.fraction(now)
 
     def max_pace(self, motion_time: float) -> float:
         """Return the highest pace, 0 to 1, within the limit from a motion time [s]."""
-        shares = self.shares
-        if min(shares) >= 1.0:
+        fractions = self.fractions
+        if min(fractions) >= 1.0:
             return 1.0
         p = self._read_options()
         bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
-        return bound.pace(self._velocities(motion_time)[1], *shares)
+        return bound.pace(self._velocities(motion_time)[1], *fractions)
 
     def publish_demand(self, motion_time: float) -> None:
         """Publish what the motions ask for at full pace, where a limit is used."""

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
-from omniman_ros.motion.path.pace import Demand, Pace
+from omniman_ros.motion.path.pace import LimitUsage, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
@@ -61,7 +61,7 @@ class Interpolator(Protocol):
 
     state: PathState
 
-    def demand(self, times: Array) -> Demand | None:
+    def demand(self, times: Array) -> LimitUsage | None:
         """Return what the motion uses of its limits at motion times (k,) [s]; None if idle."""
 
     def progress(self, now: float) -> float:
@@ -181,11 +181,11 @@ class MotionTimeBase:
         pace = max(min(self.pace.rate(self._clock()), self._scaling.value), SLOWEST_SHUTDOWN_PACE)
         return max((i.remaining(now) for i in self._interpolators), default=0.0) / pace
 
-    def _demand(self, times: Array) -> Demand:
+    def _demand(self, times: Array) -> LimitUsage:
         demands = [interpolator.demand(times) for interpolator in self._interpolators]
         parts = [demand for demand in demands if demand]
         if not parts:
-            return Demand.none(len(times))
+            return LimitUsage.none(len(times))
         total, *others = parts
         for part in others:
             total = total.beside(part)

@@ -9,7 +9,7 @@ from omniman_ros.conversions.poses import path_poses
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
+from omniman_ros.motion.path.interpolator import PathInterpolator, PathProposal, PathState
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionLog
@@ -73,7 +73,7 @@ class PathInterface:
         pose = context.odom.pose
         assert pose is not None
 
-        def propose(lead: float) -> Proposal:
+        def propose(lead: float) -> PathProposal:
             return self.core.propose(poses, pose, context.time_base.now(), lead)
 
         planning_time = MIN_PLANNING_TIME + PLANNING_TIME_PER_POSE * len(poses)

@@ -24,9 +24,9 @@ from omniman_ros.motion.path.trajectory_goal import (
     Ending,
     ErrorCode,
     GoalMonitor,
+    GoalResult,
     GoalTolerances,
     TrajectoryActionOptions,
-    Verdict,
 )
 from omniman_ros.nodes.deferred_action import DeferredActionServer
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -204,7 +204,7 @@ class TrajectoryAction:
             monitor = self._monitor(handle.request)
             motion = self._executor.send(handle.request.trajectory)
         except InputError as error:
-            self._finish(handle, Verdict(Ending.ABORTED, ErrorCode.INVALID_GOAL, str(error)))
+            self._finish(handle, GoalResult(Ending.ABORTED, ErrorCode.INVALID_GOAL, str(error)))
             return
         last, self._goal = self._goal, _Goal(handle, motion, monitor)
         if last is not None:
@@ -243,7 +243,7 @@ class TrajectoryAction:
         fill_feedback(self._feedback, self._node.stamp(), desired, actual, errors)
         goal.handle.publish_feedback(self._feedback)
 
-    def _finish(self, handle: ServerGoalHandle, verdict: Verdict) -> None:
+    def _finish(self, handle: ServerGoalHandle, verdict: GoalResult) -> None:
         end = {
             Ending.SUCCEEDED: handle.succeed,
             Ending.ABORTED: handle.abort,

@@ -35,10 +35,10 @@ from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
-from omniman_ros.planning.whole_body.way import NoWayError
+from omniman_ros.planning.whole_body.platform_path import NoPathError
 
 if TYPE_CHECKING:  # needs casadi, which is optional
-    from omniman_ros.planning.whole_body.dodging_motion import DodgingMotion
+    from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
     from omniman_ros.planning.whole_body.task import BodySetup, BodyTask
 
 PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
@@ -48,16 +48,16 @@ BLOCKED = 1.0
 SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
-class DodgeInterface(BodyInterface):
+class AvoidanceInterface(BodyInterface):
     """Plans tasks of the whole body, and drives one at a time; see `ToolDriver`."""
 
     _context: StreamContext[WholeBodyPlannerParameters]
-    core: "DodgingMotion"  #: Motion that is driven
+    core: "AvoidanceMotion"  #: Motion that is driven
 
     def __init__(
         self,
         context: StreamContext[WholeBodyPlannerParameters],
-        core: "DodgingMotion",
+        core: "AvoidanceMotion",
         surroundings: SurroundingsInterface,
     ) -> None:
         super().__init__(context, core, "tool path")
@@ -66,9 +66,9 @@ class DodgeInterface(BodyInterface):
         self._found: Obstruction | None = None  # of the last cycle
         self._nearest: Obstruction | None = None  # on the way of the last cycle
         self.cycle_time = math.nan
-        self._no_way: NoWayError | None = None  # of the last search, until there is progress
+        self._no_path: NoPathError | None = None  # of the last search, until there is progress
         self._search: Future[None] | None = None
-        self._place = self._moved_at = self._cycled_at = 0.0
+        self._path_parameter = self._moved_at = self._cycled_at = 0.0
         self._searched_at = -math.inf
 
     def configure(self, new: WholeBodyPlannerParameters) -> None:
@@ -83,7 +83,7 @@ class DodgeInterface(BodyInterface):
         from omniman_ros.planning.whole_body.task import WholeBodyTask
 
         setup, now = self._setup(), self._context.time_base.now()
-        around = self._surroundings.hindrances()
+        around = self._surroundings.obstacle_snapshot()
         return lambda: WholeBodyTask(setup, poses, start, now, around)
 
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
@@ -108,8 +108,8 @@ class DodgeInterface(BodyInterface):
         self.core.follow(task)
         self._tool = ToolStream(self._model, self.core, p.tool_path, p.arm.each("velocity"))
         self.output.begin(from_rest=True)
-        self._search = self._found = self._nearest = self._no_way = None
-        self._place, self._moved_at, self._cycled_at = 0.0, now, now
+        self._search = self._found = self._nearest = self._no_path = None
+        self._path_parameter, self._moved_at, self._cycled_at = 0.0, now, now
         length = task.redundancy.path.length()
         self._announce(f"{length:.2f} m of the tool" if task.has_end else "the tool is held")
 
@@ -130,8 +130,8 @@ class DodgeInterface(BodyInterface):
         """
         if self._found is not None:
             return self._found
-        if self._no_way is not None:
-            return self._no_way.obstruction
+        if self._no_path is not None:
+            return self._no_path.obstruction
         return self._nearest if self.waiting_time() >= BLOCKED else None
 
     def waiting_time(self) -> float:
@@ -145,14 +145,14 @@ class DodgeInterface(BodyInterface):
             return ""
         if silence := self._surroundings.silence_reason():
             return silence
-        return str(self._no_way or self.obstruction or "the robot is slowed down")
+        return str(self._no_path or self.obstruction or "the robot is slowed down")
 
     def plan(self) -> None:
         """Choose the motion for the next cycle, and give up if there is no way on."""
         begin, time_base = self._node.now(), self._context.time_base
         now, pace = time_base.now(), time_base.pace
         elapsed, self._cycled_at = begin - self._cycled_at, begin
-        around = self._surroundings.hindrances()
+        around = self._surroundings.obstacle_snapshot()
         outcome = self.core.cycle(now, pace.rate(begin), around)
         if outcome is None:  # paused, braking or at its end: no progress is expected
             self._moved_at += elapsed
@@ -163,9 +163,9 @@ class DodgeInterface(BodyInterface):
         if not self.core.task.has_end:
             self._moved_at = begin
             return
-        place = self.core.place(now)
-        if place > self._place + PROGRESS:
-            self._place, self._moved_at, self._no_way = place, begin, None
+        path_parameter = self.core.path_parameter(now)
+        if path_parameter > self._path_parameter + PROGRESS:
+            self._path_parameter, self._moved_at, self._no_path = path_parameter, begin, None
         elif pace.target == 0.0 and not self._surroundings.silence_reason():
             self._moved_at += elapsed  # who slows the robot down wants it to wait
         self._search_if_blocked(begin, now)
@@ -183,16 +183,16 @@ class DodgeInterface(BodyInterface):
             search, self._search = self._search, None
             try:
                 search.result()
-                self._no_way = None
-            except NoWayError as error:
-                self._no_way = error
+                self._no_path = None
+            except NoPathError as error:
+                self._no_path = error
             except Exception as error:  # raised in the thread; it must not end the node
                 self._node.get_logger().error(f"search failed: {type(error).__name__}: {error}")
         stands = self._found is not None and self._found.cause is Cause.STANDING
         is_blocked = stands or self.waiting_time() >= BLOCKED
         if is_blocked and now - self._searched_at >= BLOCKED:
             self._searched_at = now
-            task, around = self.core.task, self._surroundings.hindrances()
+            task, around = self.core.task, self._surroundings.obstacle_snapshot()
             self._search = in_background(lambda: task.search(motion_time, around))
 
     def blocking_reason(self) -> str:
@@ -210,13 +210,13 @@ class BodyCoordinator:
         period: float,
     ) -> None:
         # Imported here, so that the parameters of the node can be read without casadi.
-        from omniman_ros.planning.whole_body.dodging_motion import DodgingMotion
+        from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
 
         p, odom_frame = settings.value, settings.value.frames.odom.odom_frame
         self._node, self.is_ending = node, False
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_slowed)
-        motion = DodgingMotion(WholeBodyLimits.of_whole_body(p.core, p.arm))
+        motion = AvoidanceMotion(WholeBodyLimits.of_whole_body(p.core, p.arm))
         self.context: StreamContext[WholeBodyPlannerParameters] = StreamContext(
             node=node,
             read_options=lambda: settings.value,
@@ -245,7 +245,7 @@ class BodyCoordinator:
             node, lambda: settings.value, ((motion, slice(None)),), self._on_slowed
         )
         self.surroundings = SurroundingsInterface(node, self.context.frames, p.surroundings)
-        self.whole_body = DodgeInterface(self.context, motion, self.surroundings)
+        self.whole_body = AvoidanceInterface(self.context, motion, self.surroundings)
         self.tool: ToolInterface[BodyTask] = ToolInterface(
             self.context,
             self.whole_body,

@@ -4,17 +4,17 @@ from dataclasses import dataclass, replace
 
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.motion.whole_body.tool_curve import LEVER
+from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
 from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 
 
 @dataclass(frozen=True, kw_only=True)
 class WholeBodyPlannerParameters(StreamParameters):
     """Parameters of the node: those of its core, its surroundings and its streams."""
 
-    dodge: DodgeOptions
+    dodge: AvoidanceOptions
     surroundings: SurroundingsParameters = inline()
     patience: float = parameter(
         30.0,
@@ -30,6 +30,8 @@ class WholeBodyPlannerParameters(StreamParameters):
         o = self.tool_path
         return replace(
             o,
-            linear_velocity=min(o.linear_velocity, LEVER * o.angular_velocity),
-            linear_acceleration=min(o.linear_acceleration, LEVER * o.angular_acceleration),
+            linear_velocity=min(o.linear_velocity, ROTATION_LENGTH * o.angular_velocity),
+            linear_acceleration=min(
+                o.linear_acceleration, ROTATION_LENGTH * o.angular_acceleration
+            ),
         )

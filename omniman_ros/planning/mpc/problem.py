@@ -9,12 +9,12 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PlanTarget
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import EXTREMES, OBSTACLE, SIDES, Stage
 from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
-from omniman_ros.planning.obstacles.separation import box_gap, within_reach
+from omniman_ros.planning.obstacles.separation import box_gap, within_distance
 
 FAR_AWAY = 1e3  #: Coordinates of the obstacle in an empty slot [m]
 #: Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is
@@ -39,7 +39,7 @@ class Problem:
     def stage(
         self,
         start: Array,
-        guess: Motion,
+        guess: HermiteTrajectory,
         goal: PlanTarget,
         pairs: Pairs,
         slots: int,
@@ -119,8 +119,8 @@ class Problem:
         # Factor from this speed to its measure in the polygon that replaces the limit's circle.
         along = math.atan2(twist[1], twist[0]) + start[2] - direction
         normals = (np.arange(SIDES) + 0.5) * (2.0 * math.pi / SIDES)
-        share = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
-        linear_now = math.hypot(twist[0], twist[1]) * share
+        fraction = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
+        linear_now = math.hypot(twist[0], twist[1]) * fraction
         now = np.array([linear_now, abs(twist[2]), wheels])
         steps = len(caution)
         largest = np.tile([linear, angular, model.max_speed], (steps, 1))
@@ -133,7 +133,9 @@ class Problem:
         volts = max(model.max_voltage, model.emf * wheels * (1.0 + VOLTAGE_HEADROOM))
         return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
 
-    def _obstacles(self, guess: Motion, pairs: Pairs, slots: int, clearance: float) -> Array:
+    def _obstacles(
+        self, guess: HermiteTrajectory, pairs: Pairs, slots: int, clearance: float
+    ) -> Array:
         """Return the nearest pairs (N, M, 13) along a guess, the obstacles with their margins."""
         times = guess.times[1:]
         table = np.zeros((len(times), slots, OBSTACLE))
@@ -170,7 +172,7 @@ class Problem:
         table[:, :m, 11:] = boxes.half
         return table
 
-    def _caution(self, guess: Motion, pairs: Pairs) -> Array:
+    def _caution(self, guess: HermiteTrajectory, pairs: Pairs) -> Array:
         """Return speeds (N,) [m/s] from which the robot can avoid an obstacle that approaches it.
 
         The robot approaches the obstacle at the speed c along the line between them. If the
@@ -244,13 +246,13 @@ class Problem:
         result: NDArray[np.intp] = np.take_along_axis(near, chosen, axis=1)
         return result
 
-    def _reachable(self, guess: Motion, pairs: Pairs) -> NDArray[np.bool_]:
+    def _reachable(self, guess: HermiteTrajectory, pairs: Pairs) -> NDArray[np.bool_]:
         """Return (M,) bool: pairs that can come near, whatever the plan is."""
         p = self.limits.parameters
         fastest = max(p.limits.linear_velocity, float(np.abs(guess.velocities).max()))
         # A motion there and back at twice the speed reaches as far as one that does not return.
         there_and_back = np.tile([2.0 * fastest, 0.0, 0.0], (2, 1))
-        return within_reach(
+        return within_distance(
             guess.times[[0, -1]],
             np.tile(guess.poses[0], (2, 1)),
             there_and_back,
@@ -259,7 +261,9 @@ class Problem:
             p.safety.clearance,
         )
 
-    def _sag(self, guess: Motion, radius: Array, velocities: Array, axes: Array) -> Array:
+    def _sag(
+        self, guess: HermiteTrajectory, radius: Array, velocities: Array, axes: Array
+    ) -> Array:
         """Return the depth (N, M) [m] to which the robot could enter an obstacle between nodes.
 
         The points of the robot are within `radius` [m], one for all or (N, M), of base_link.

@@ -283,8 +283,8 @@ class Transcription:
         for k in range(4):
             start = white @ (corners[k] - centre)
             edge = white @ (corners[(k + 1) % 4] - corners[k])
-            share = ca.fmin(ca.fmax(-ca.dot(start, edge) / ca.dot(edge, edge), 0), 1)
-            distance = ca.sqrt(ca.sumsqr(start + share * edge) + 1e-9)
+            fraction = ca.fmin(ca.fmax(-ca.dot(start, edge) / ca.dot(edge, edge), 0), 1)
+            distance = ca.sqrt(ca.sumsqr(start + fraction * edge) + 1e-9)
             within = ca.if_else(depths[k] <= nearest, -distance, INACTIVE_GAP)
             gaps.append(scale * (ca.if_else(inside, within, distance) - 1))
         return gaps

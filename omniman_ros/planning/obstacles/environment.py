@@ -11,7 +11,7 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap, Mask
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
-from omniman_ros.planning.obstacles.walls import REACH, Walls
+from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Environment:
     def touches(self, pose: Array) -> bool:
         """Return whether the robot at a pose (3,) touches or overlaps something."""
         poses = pose[None]
-        return bool(self.gaps(poses, REACH)[0] <= 0.0 or self.is_inside(poses)[0])
+        return bool(self.gaps(poses, MAX_COMPUTED_GAP)[0] <= 0.0 or self.is_inside(poses)[0])
 
     def touched(self, poses: Array) -> Mask:
         """Return (M + N + 1,) flags of what is touched at poses (K, 3): discs, pairs and edge."""
@@ -72,7 +72,7 @@ class Environment:
         return "the workspace's edge"
 
     def _walls_near(self, pose: Array) -> Walls:
-        return self.walls.near(pose, self.footprint.radius + self.walls.radius + REACH)
+        return self.walls.near(pose, self.footprint.radius + self.walls.radius + MAX_COMPUTED_GAP)
 
     def _each(self, poses: Array, walls: Walls | None = None) -> tuple[Array, Array, Array]:
         """Return the least gaps of each disc (M,), pair (N,) and the edge (1,) at poses [m]."""

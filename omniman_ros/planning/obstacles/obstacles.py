@@ -250,12 +250,14 @@ class ObstacleSet:
     def _tabulate(self, now: float) -> _Table:
         """Return all obstacles as arrays, in the order of their first observation."""
         rows, doubted, expiry = [], math.inf, math.inf
-        share = self._parameters.tracking.growth
+        fraction = self._parameters.tracking.growth
         for known in self._obstacles.values():
             track, seen = known.track, known.seen
             track.settle(now)
             vx, vy = track.velocity
-            growth = share * math.hypot(vx, vy) + min(track.velocity_deviation, MAX_VELOCITY_DOUBT)
+            growth = fraction * math.hypot(vx, vy) + min(
+                track.velocity_deviation, MAX_VELOCITY_DOUBT
+            )
             rows.append(
                 (
                     track.time,

@@ -98,8 +98,8 @@ def swept_gap(
         speed = np.hypot(relative[..., 0], relative[..., 1])
         yaw_rate = np.abs(velocities[:, 2:])
         spin = np.maximum(yaw_rate[:-1], yaw_rate[1:])
-        travel = dt * (np.maximum(speed[:-1], speed[1:]) + radius * spin) + growth
-        by_travel = 0.5 * (start + end - travel)
+        displacement = dt * (np.maximum(speed[:-1], speed[1:]) + radius * spin) + growth
+        by_travel = 0.5 * (start + end - displacement)
 
         change = np.abs(np.diff(velocities, axis=0))
         bend = np.hypot(change[:, :1], change[:, 1:2]) + radius * change[:, 2:]
@@ -115,7 +115,7 @@ def swept_gap(
         return _finite(np.minimum(ends, np.maximum(by_travel, by_direction)))
 
 
-def within_reach(
+def within_distance(
     times: Array,
     poses: Array,
     velocities: Array,
@@ -146,10 +146,10 @@ def within_reach(
     radius = float(np.hypot(offset[:, 0], offset[:, 1]).max()) + box.radius + detour
     ends = times[[0, -1]]
     first, last = ellipses.centers_at(ends) - middle
-    travel = last - first
-    squared_length = np.maximum((travel * travel).sum(axis=1), np.finfo(float).tiny)
-    share = np.clip(-(first * travel).sum(axis=1) / squared_length, 0.0, 1.0)
-    closest = first + share[:, None] * travel
+    displacement = last - first
+    squared_length = np.maximum((displacement * displacement).sum(axis=1), np.finfo(float).tiny)
+    fraction = np.clip(-(first * displacement).sum(axis=1) / squared_length, 0.0, 1.0)
+    closest = first + fraction[:, None] * displacement
     reach = radius + ellipses.axes_at(ends, margin).max(axis=(0, 2), initial=0.0)
     result: Mask = ~(np.hypot(closest[:, 0], closest[:, 1]) > reach)  # NaN stays
     return result
@@ -179,7 +179,7 @@ def first_contact(
     count = len(times) if fit.all() else int(np.argmin(fit))
     if count >= 2:
         known = times[:count], poses[:count], velocities[:count]
-        near = within_reach(*known, box, ellipses, margin)
+        near = within_distance(*known, box, ellipses, margin)
         gaps = swept_gap(*known, box.select(near), ellipses.select(near), margin)
         contact = ~(gaps > 0.0).all(axis=1)
         if contact.any():
@@ -280,8 +280,8 @@ def _nearest(box: _Placed, semi_axes: Array) -> _Nearest:
 
 def _on_edge(x: Array, y: Array, ex: Array, ey: Array) -> tuple[Array, Array]:
     """Return the point of the edge (x, y) -+ (ex, ey) that is nearest to the origin."""
-    share = np.clip(-(x * ex + y * ey) / (ex * ex + ey * ey), -1.0, 1.0)
-    return x + share * ex, y + share * ey
+    fraction = np.clip(-(x * ex + y * ey) / (ex * ex + ey * ey), -1.0, 1.0)
+    return x + fraction * ex, y + fraction * ey
 
 
 def _separation(near: _Nearest, box: _Placed, semi_axes: Array) -> Array:

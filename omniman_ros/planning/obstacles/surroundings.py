@@ -1,11 +1,11 @@
-"""Obstacles and maps as upright solids, to which distances of the whole robot can be computed."""
+"""Obstacles and maps as upright obstacles, for distances of the whole robot."""
 
 import math
 
 import numpy as np
 
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
@@ -14,7 +14,7 @@ from omniman_ros.planning.obstacles.grid_map import GridMap
 FARTHEST = 10.0
 
 
-def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:
+def ellipse_surroundings(ellipses: Ellipses) -> MovingObstacles:
     """Return walls with round ends that contain obstacles, at their heights, and move like them.
 
     An ellipse with the semi-axes a >= b lies within the distance b of the segment from -(a - b) to
@@ -22,7 +22,7 @@ def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:
     """
     long, short = ellipses.semi_axes.max(axis=1), ellipses.semi_axes.min(axis=1)
     is_across = ellipses.semi_axes[:, 1] > ellipses.semi_axes[:, 0]
-    solids = UprightSolids(
+    obstacles = UprightObstacles(
         ellipses.centers.T,
         ellipses.angles + 0.5 * math.pi * is_across,
         np.stack((long - short, np.zeros(len(ellipses)))),
@@ -30,10 +30,10 @@ def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:
         np.clip(ellipses.lower, -FARTHEST, FARTHEST),
         np.clip(ellipses.upper, -FARTHEST, FARTHEST),
     )
-    return Surroundings(solids, ellipses.velocities.T)
+    return MovingObstacles(obstacles, ellipses.velocities.T)
 
 
-def grid_solids(grid: GridMap) -> UprightSolids:
+def grid_obstacles(grid: GridMap) -> UprightObstacles:
     """Return boxes that cover the occupied cells of a map exactly, at all heights.
 
     The cells of a row that follow one another are joined, and then rows that are occupied between
@@ -55,7 +55,7 @@ def grid_solids(grid: GridMap) -> UprightSolids:
     cos, sin = math.cos(yaw), math.sin(yaw)
     middle = 0.5 * grid.resolution * (low + high)
     count = middle.shape[1]
-    return UprightSolids(
+    return UprightObstacles(
         np.array([[x], [y]]) + np.array([[cos, -sin], [sin, cos]]) @ middle,
         np.full(count, yaw),
         0.5 * grid.resolution * (high - low).astype(np.float64),

@@ -91,14 +91,14 @@ class _State:
         dx, dy = x - self.x, y - self.y
         k, kv = self.pp / spread, self.pv / spread
         # pp and pv are computed without a difference, and so stay positive for any ratio.
-        share = variance / spread
+        fraction = variance / spread
         return _State(
             self.x + k * dx,
             self.y + k * dy,
             self.vx + kv * dx,
             self.vy + kv * dy,
-            share * self.pp,
-            share * self.pv,
+            fraction * self.pp,
+            fraction * self.pv,
             max(self.vv - kv * self.pv, 0.0),
         )
 
@@ -225,9 +225,9 @@ class ObstacleTrack:
         """
         dt = time - self.time
         # A Markov chain in continuous time: over a gap the odds decay towards their mean.
-        share = STEADY_TIME / (STEADY_TIME + AGILE_TIME)
+        fraction = STEADY_TIME / (STEADY_TIME + AGILE_TIME)
         forgotten = 1.0 - math.exp(-dt / STEADY_TIME - dt / AGILE_TIME)
-        stay, come = 1.0 - (1.0 - share) * forgotten, share * forgotten
+        stay, come = 1.0 - (1.0 - fraction) * forgotten, fraction * forgotten
         # Probability of steady motion now, and of steady motion before for either motion now.
         odds = self._odds * stay + (1.0 - self._odds) * come
         from_steady = self._odds * stay / odds

@@ -9,7 +9,8 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
-REACH = 0.3  #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
+#: Largest gap to walls that is computed [m]; larger gaps are returned as this value
+MAX_COMPUTED_GAP = 0.3
 CHUNK = 24  #: Number of poses that are checked together, against all discs near any of them
 
 
@@ -54,7 +55,7 @@ class Walls:
             poses: (K, 3) poses of base_link in odom [m, m, rad].
         """
         finite = np.isfinite(poses).all(axis=1)
-        result = np.where(finite, REACH, -math.inf)
+        result = np.where(finite, MAX_COMPUTED_GAP, -math.inf)
         if len(self) and finite.any():
             each = [self._gaps(box.poses(poses[finite]), box.half) for box in boxes.each()]
             result[finite] = np.min(each, axis=0)
@@ -62,9 +63,9 @@ class Walls:
 
     def _gaps(self, poses: Array, half: Array) -> Array:
         """Return the distances of one box, half (2,) [m], at poses of its centre, all finite."""
-        result = np.full(len(poses), REACH)
+        result = np.full(len(poses), MAX_COMPUTED_GAP)
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        size = math.hypot(*half) + self.radius + REACH
+        size = math.hypot(*half) + self.radius + MAX_COMPUTED_GAP
         around = self._beside(poses[:, :2], size)
         for first in range(0, len(poses), CHUNK):
             part = slice(first, first + CHUNK)
@@ -77,7 +78,9 @@ class Walls:
             y = np.abs(c * offset[..., 1] - s * offset[..., 0]) - half[1]
             distance = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
             depth = np.minimum(np.maximum(x, y), 0.0)
-            result[part] = np.minimum((distance + depth).min(axis=1) - self.radius, REACH)
+            result[part] = np.minimum(
+                (distance + depth).min(axis=1) - self.radius, MAX_COMPUTED_GAP
+            )
         return result
 
     def gaps_of_each(self, poses: Array, boxes: Rectangles) -> Array:
@@ -85,8 +88,8 @@ class Walls:
 
         It is up to REACH, and negative by the depth to which the disc enters a box.
         """
-        result = np.full(len(self), REACH)
-        reach = float(boxes.radius.max()) + self.radius + REACH
+        result = np.full(len(self), MAX_COMPUTED_GAP)
+        reach = float(boxes.radius.max()) + self.radius + MAX_COMPUTED_GAP
         low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
         near = np.flatnonzero(((self.centers >= low) & (self.centers <= high)).all(axis=1))
         least = result[near]
@@ -128,5 +131,5 @@ class Walls:
         gaps = self.gaps(poses, boxes)
         speed = np.hypot(velocities[:, 0], velocities[:, 1])
         speed = speed + boxes.radius.max() * np.abs(velocities[:, 2])
-        travel = np.diff(times) * np.maximum(speed[:-1], speed[1:])
-        return gaps, 0.5 * (gaps[:-1] + gaps[1:] - travel)
+        displacement = np.diff(times) * np.maximum(speed[:-1], speed[1:])
+        return gaps, 0.5 * (gaps[:-1] + gaps[1:] - displacement)

@@ -13,14 +13,14 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.model import PlanningModel
 
-#: Smallest share of the energy that a rotation must save [-]: corrections offset a smaller one
+#: Smallest fraction of the energy that a rotation must save [-]: corrections offset a smaller one
 MIN_SAVING = 0.07
 #: Factor on the limit of the yaw rate at which the robot rotates while it drives [-]
 YAW_RATE_FACTOR = 0.7
 #: Expected heading error [rad]: along a diagonal one degree may cost a tenth of the energy
 HEADING_ERROR = math.radians(2.0)
 HEADINGS = 36  #: Number of headings that are compared
-TURN_SAMPLES = 7  #: Number of samples of each rotation
+ROTATION_SAMPLES = 7  #: Number of samples of each rotation
 
 
 def power(model: PlanningModel, twists: Array) -> Array:
@@ -54,9 +54,9 @@ def straight(
     first = heading - start[2]
     last = goal[2] - heading
     lengths = np.array([0.0, abs(first), abs(last)]) * speeds[0] / (YAW_RATE_FACTOR * speeds[1])
-    shares = np.array([0.0, lengths[1], distance - lengths[2], distance]) / distance
+    fractions = np.array([0.0, lengths[1], distance - lengths[2], distance]) / distance
     headings = np.array([start[2], heading, heading, goal[2]])
-    positions = start[:2] + shares[:, None] * ahead
+    positions = start[:2] + fractions[:, None] * ahead
     return np.column_stack([positions, headings])
 
 
@@ -81,9 +81,9 @@ def _cruise(
     )
     directions = bearing - headings[:, None] + _heading_errors()
     energy = power(model, _twists(speed, directions, 0.0)).mean(axis=1) * cruising / speed
-    share = (np.arange(TURN_SAMPLES) + 0.5) / TURN_SAMPLES
+    fraction = (np.arange(ROTATION_SAMPLES) + 0.5) / ROTATION_SAMPLES
     for k, other in enumerate((start[2], goal[2])):
-        between = other + share * (headings - other)[:, None]
+        between = other + fraction * (headings - other)[:, None]
         # The robot rotates from the heading of the start, or to that of the goal.
         signs = np.sign(headings - other) * (1.0 if k == 0 else -1.0)
         rate = yaw_rate * signs[:, None]
@@ -106,8 +106,8 @@ def _plain(
 ) -> float:
     """Return the energy of the line on which the heading changes at a constant rate [J]."""
     duration = max(distance / speeds[0], abs(goal[2] - start[2]) / speeds[1])
-    share = (np.arange(4 * TURN_SAMPLES) + 0.5) / (4 * TURN_SAMPLES)
-    headings = start[2] + share * (goal[2] - start[2])
+    fraction = (np.arange(4 * ROTATION_SAMPLES) + 0.5) / (4 * ROTATION_SAMPLES)
+    headings = start[2] + fraction * (goal[2] - start[2])
     rate = (goal[2] - start[2]) / duration
     directions = bearing - headings[:, None] + _heading_errors()
     return float(power(model, _twists(distance / duration, directions, rate)).mean() * duration)

@@ -33,7 +33,8 @@ NODES = 20_000  #: Number of nodes that a flood fill processes at once
 CHECK_AFTER = 20_000  #: Number of expansions after which the search checks whether any path exists
 #: Positions at which lines between an end and the lattice are checked, over their length [-]
 LINE_SAMPLES = np.linspace(0.0, 1.0, 9)[1:-1]
-TURNS = np.array([-1, 0, 1])  #: Changes of the heading in a move, in headings of the lattice
+#: Changes of the heading in a move, in headings of the lattice
+HEADING_STEPS = np.array([-1, 0, 1])
 
 
 @dataclass(frozen=True)
@@ -72,12 +73,14 @@ class LatticeSearch:
         self.at_edge = False
         self._doubted = True
         v, w = problem.speeds
-        turns = lattice.turn * np.abs(TURNS)
-        self._costs = np.maximum(lattice.ways[:, None] / v, turns / w).astype(np.float32)
+        turns = lattice.heading_step * np.abs(HEADING_STEPS)
+        self._costs = np.maximum(lattice.step_lengths[:, None] / v, turns / w).astype(np.float32)
         self._penalty = problem.turning(turns).astype(np.float32)
         # Times to rotate to the goal's heading: a lower bound of the cost to go, as the 2-D cost.
         goal = float(lattice.ends[1, 2])
-        angles = np.abs([se2.wrap(lattice.turn * k - goal) for k in range(lattice.headings)])
+        angles = np.abs(
+            [se2.wrap(lattice.heading_step * k - goal) for k in range(lattice.headings)]
+        )
         self._spin = (angles / w).astype(np.float32)
         self._extra = (TURNING * (angles / w)).astype(np.float32)
         self._to_go: Single = np.zeros(0, dtype=np.float32)
@@ -149,7 +152,7 @@ class LatticeSearch:
             self._expand(ids, weight, tree, queue)
             yield 40 + len(ids)
             if expanded > CHECK_AFTER and self._doubted and not math.isfinite(least):
-                self._doubted = yield from self._no_way(first, last)
+                self._doubted = yield from self._no_path(first, last)
                 if self._doubted:
                     self.reason = "there is no way"
                     return None
@@ -167,7 +170,7 @@ class LatticeSearch:
         lattice, words = self._lattice, self._marks.words
         node, heading = tree.places(ids)
         beside = node[:, None] + lattice.offsets
-        turned = (heading[:, None] + TURNS) % lattice.headings
+        turned = (heading[:, None] + HEADING_STEPS) % lattice.headings
         shift = (turned % lattice.bits).astype(np.uint64)
         taken = (words[0][beside][:, :, None] >> shift[:, None, :] & ONE).astype(bool)
         # A move that also rotates must be free as a move alone and as a rotation alone.
@@ -189,7 +192,7 @@ class LatticeSearch:
         order = cost[lowered] / np.float32(weight) + guess
         queue.push(order, guess, new[lowered], cost[lowered])
 
-    def _no_way(self, first: Joints, last: Joints) -> Generator[int, None, bool]:
+    def _no_path(self, first: Joints, last: Joints) -> Generator[int, None, bool]:
         """Return whether the goal cannot be reached; if so, set `at_edge`."""
         reached = yield from enclosed(
             self._lattice, self._marks, (first.nodes, first.headings), (last.nodes, last.headings)
@@ -222,20 +225,20 @@ def cost_to_go(
             factor[part][(words[level, part] | words[0, part]) == full] = FACTORS[4 - level]
         cost[part][words[0, part] == full] = -1.0  # no cost is lower: the node is never entered
         yield 1000
-    ways = (lattice.ways[1:] / speed).astype(np.float32)
+    step_lengths = (lattice.step_lengths[1:] / speed).astype(np.float32)
     offsets = lattice.offsets[1:]
     seeds = np.unique(lattice.near(lattice.ends[1])[0])
     pool = seeds[cost[seeds] > 0.0]
     cost[pool] = 0.0
     mark = np.zeros(size, dtype=np.int32)
-    width = 1.5 * float(ways.min())
+    width = 1.5 * float(step_lengths.min())
     while len(pool):
         order = cost[pool]
         now = order < order.min() + width
         front, pool = pool[now], pool[~now]
         mark[front] = np.arange(len(front), dtype=np.int32)
         front = front[mark[front] == np.arange(len(front))]  # without repeats
-        value = (cost[front, None] + factor[front, None] * ways).ravel()
+        value = (cost[front, None] + factor[front, None] * step_lengths).ravel()
         beside = (front[:, None] + offsets).ravel()
         better = value < cost[beside]
         beside, value = beside[better], value[better]

@@ -16,14 +16,14 @@ Index = NDArray[np.intp]  #: Array of indices of nodes, headings, columns or row
 Words = NDArray[np.uint64]  #: Array of words, one per node, with a bit for each heading
 Work = Generator[int, None, None]  #: Work in pieces; each yields its amount [expansions]
 
-NEAR = 2.5  #: Distance within which a pose is joined to nodes [edges of the lattice]
-NEAR_TURNS = 2  #: Number of headings to either side that a pose is joined to
+JOINING_DISTANCE = 2.5  #: Distance within which a pose is joined to nodes [edges of the lattice]
+JOINING_HEADINGS = 2  #: Number of headings to either side that a pose is joined to
 #: Columns and rows by which moves advance; the first move only rotates
 STEPS = [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
 
 
 @dataclass(frozen=True)
-class Frame:
+class LatticeFrame:
     """Frame of a lattice: its nodes are at whole multiples of an edge."""
 
     origin: Array  #: (2,) origin in odom [m]
@@ -31,14 +31,14 @@ class Frame:
     edge: float  #: Distance from a node to the next [m]
 
     @staticmethod
-    def of(start: Array, grid: GridMap | None, resolution: float) -> "Frame":
+    def of(start: Array, grid: GridMap | None, resolution: float) -> "LatticeFrame":
         """Return a frame along a map, or at the start (3,) without one.
 
         Its edge is about the resolution [m] or less. Cells and nodes repeat together, so that
         only few different offsets between cells and nodes occur.
         """
         if grid is None:
-            return Frame(start[:2].copy(), 0.0, resolution)
+            return LatticeFrame(start[:2].copy(), 0.0, resolution)
         cell = grid.resolution
         divided = cell / math.ceil(cell / resolution - 1e-9)
         edge = divided if cell > resolution else cell * math.floor(resolution / cell + 1e-9)
@@ -46,7 +46,7 @@ class Frame:
         # The nodes are a quarter of an edge beside the sides of the cells: a door of any whole
         # number of cells has nodes no further than that from its middle.
         shift = 0.25 * edge * np.array([1.0, 1.0])
-        return Frame(grid.origin[:2] + shift @ _rotation(yaw), yaw, edge)
+        return LatticeFrame(grid.origin[:2] + shift @ _rotation(yaw), yaw, edge)
 
     def own(self, poses: Array) -> Array:
         """Return poses (N, 3) or points (N, 2) of odom in this frame."""
@@ -124,33 +124,38 @@ class Lattice:
 
     Attributes:
         ends: (2, 3) start and goal in the frame of the lattice.
-        turn: Angle from a heading to the next [rad].
+        heading_step: Angle from a heading to the next [rad].
         bits: Number of headings after which the robot covers the same area: those in half a
             revolution with symmetry, else all.
-        turns: (bits,) these headings [rad].
+        heading_angles: (bits,) these headings [rad].
         x: (columns,) x of the nodes [m].
         y: (rows,) y of the nodes [m].
         offsets: (9,) changes of the node's number in the moves of STEPS.
-        ways: (9,) lengths of these moves [m].
+        step_lengths: (9,) lengths of these moves [m].
     """
 
     def __init__(
-        self, frame: Frame, region: Region, headings: int, ends: Array, is_symmetric: bool = True
+        self,
+        frame: LatticeFrame,
+        region: Region,
+        headings: int,
+        ends: Array,
+        is_symmetric: bool = True,
     ) -> None:
         self.frame, self.region, self.headings = frame, region, headings
         self.ends = frame.own(ends)
-        self.turn = math.tau / headings
+        self.heading_step = math.tau / headings
         self.bits = headings // 2 if is_symmetric else headings
-        self.turns = self.turn * np.arange(self.bits, dtype=np.float64)
+        self.heading_angles = self.heading_step * np.arange(self.bits, dtype=np.float64)
         self.x = frame.edge * (region.first[0] + np.arange(region.columns))
         self.y = frame.edge * (region.first[1] + np.arange(region.rows))
         self.offsets = np.array([dx + region.columns * dy for dx, dy in STEPS])
-        self.ways = frame.edge * np.array([math.hypot(*step) for step in STEPS])
+        self.step_lengths = frame.edge * np.array([math.hypot(*step) for step in STEPS])
 
     def poses(self, nodes: Index, headings: Index) -> Array:
         """Return the poses (N, 3) of nodes and headings in the lattice's frame [m, m, rad]."""
         y, x = np.divmod(nodes, self.region.columns)
-        return np.column_stack([self.x[x], self.y[y], self.turn * headings])
+        return np.column_stack([self.x[x], self.y[y], self.heading_step * headings])
 
     def nearest(self, poses: Array) -> Index:
         """Return the nodes (N,) nearest to poses (N, 3) of the lattice's frame."""
@@ -164,12 +169,14 @@ class Lattice:
         region = self.region
         place = pose[:2] / self.frame.edge - region.first
         middle = np.round(place).astype(np.intp)
-        span = np.arange(-math.ceil(NEAR), math.ceil(NEAR) + 1)
+        span = np.arange(-math.ceil(JOINING_DISTANCE), math.ceil(JOINING_DISTANCE) + 1)
         x, y = np.meshgrid(middle[0] + span, middle[1] + span)
-        fits = np.hypot(x - place[0], y - place[1]) <= NEAR
+        fits = np.hypot(x - place[0], y - place[1]) <= JOINING_DISTANCE
         fits &= (x > 0) & (x < region.columns - 1) & (y > 0) & (y < region.rows - 1)
         nodes = (y * region.columns + x)[fits]
-        headings = round(float(pose[2]) / self.turn) + np.arange(-NEAR_TURNS, NEAR_TURNS + 1)
+        headings = round(float(pose[2]) / self.heading_step) + np.arange(
+            -JOINING_HEADINGS, JOINING_HEADINGS + 1
+        )
         return (
             np.repeat(nodes, len(headings)).astype(np.intp),
             np.tile(headings % self.headings, len(nodes)).astype(np.intp),

@@ -150,7 +150,7 @@ class HeadingOccupancy:
         ring = ~within & ((u / a) ** 2 + (v / b) ** 2 < 1.0)
         result: Words = np.zeros((len(self._thresholds), len(y), len(x)), dtype=np.uint64)
         result[:, within] = self.full
-        gap = _gaps(u[ring], v[ring], lattice.turns - angle, box, axes)
+        gap = _gaps(u[ring], v[ring], lattice.heading_angles - angle, box, axes)
         for level, threshold in enumerate(self._thresholds):
             result[level, ring] = _packed(gap < threshold)
         return result, gap.size // 80
@@ -215,7 +215,7 @@ class HeadingOccupancy:
         lattice, whole = self._lattice, self._problem.footprint.whole
         yaw = lattice.frame.yaw
         x_min, y_min, x_max, y_max = self._problem.workspace
-        headings = lattice.turns + yaw
+        headings = lattice.heading_angles + yaw
         towards = [whole.support(0.5 * math.pi * quarter - headings) for quarter in range(4)]
         corner = lattice.frame.odom(np.array([[lattice.x[0], lattice.y[0], 0.0]]))[0]
         c, s = math.cos(yaw), math.sin(yaw)

@@ -15,12 +15,12 @@ from omniman_ros.planning.obstacles.separation import Workspace
 
 #: Largest distance that a point of the robot moves between two poses that are checked [m]
 SPACING = 0.02
-FINE_TURN = 0.5  #: Rotation above which a piece is divided for the projection [rad]
-LEVER = 0.3  #: Distance that counts as much as a heading error of one radian [m]
+MAX_PIECE_ROTATION = 0.5  #: Rotation above which a piece is divided for the projection [rad]
+HEADING_ERROR_LENGTH = 0.3  #: Distance that counts as much as a heading error of one radian [m]
 WINDOW_BACK = 0.5  #: Part of the route before the last position in which a pose is searched [s]
 WINDOW_AHEAD = 2.0  #: Part of the route after the last position in which a pose is searched [s]
 SAME_TIME = 1e-9  #: Difference below which times count as equal [s]
-REACH_RESERVE = 0.01  #: Difference above the margin up to which gaps are distinguished [m]
+GAP_RESERVE = 0.01  #: Difference above the margin up to which gaps are distinguished [m]
 
 
 @dataclass(frozen=True)
@@ -94,16 +94,18 @@ class Route:
             first, last = max(near - window[0], 0.0), min(near + window[1], last)
         knots = self._knots(first, last)
         points = self.at(knots)
-        steps = np.diff(points, axis=0) * [1.0, 1.0, LEVER]
+        steps = np.diff(points, axis=0) * [1.0, 1.0, HEADING_ERROR_LENGTH]
         offset = pose - points[:-1]
         # The heading changes little within a part: the branch at its start is the right one.
-        offset[:, 2] = LEVER * (np.remainder(offset[:, 2] + math.pi, math.tau) - math.pi)
+        offset[:, 2] = HEADING_ERROR_LENGTH * (
+            np.remainder(offset[:, 2] + math.pi, math.tau) - math.pi
+        )
         squares = (steps * steps).sum(axis=1)
         along = (offset * steps).sum(axis=1)
-        share = np.clip(along / np.maximum(squares, np.finfo(float).tiny), 0.0, 1.0)
-        remainder = offset - share[:, None] * steps
+        fraction = np.clip(along / np.maximum(squares, np.finfo(float).tiny), 0.0, 1.0)
+        remainder = offset - fraction[:, None] * steps
         best = int(np.argmin((remainder * remainder).sum(axis=1)))
-        return float(knots[best] + share[best] * (knots[best + 1] - knots[best]))
+        return float(knots[best] + fraction[best] * (knots[best + 1] - knots[best]))
 
     def samples(
         self, radius: float, first: float = 0.0, last: float = math.inf
@@ -132,7 +134,7 @@ class Route:
         Obstacles count as being at rest at their centres; the part is between two positions [s].
         """
         _, poses = self.samples(footprint.radius, first, last)
-        clearance = Clearance(footprint, around, workspace, margin + REACH_RESERVE)
+        clearance = Clearance(footprint, around, workspace, margin + GAP_RESERVE)
         return bool((clearance.gaps(poses) > margin).all())
 
     def _knots(self, first: float, last: float) -> Array:
@@ -140,7 +142,7 @@ class Route:
         inner = self.times[(self.times > first + SAME_TIME) & (self.times < last - SAME_TIME)]
         knots = np.concatenate([[first], inner, [last]])
         rotations = np.abs(np.diff(self.at(knots)[:, 2]))
-        return _divided(knots, np.ceil(rotations / FINE_TURN))
+        return _divided(knots, np.ceil(rotations / MAX_PIECE_ROTATION))
 
 
 def straight(start: Array, goal: Array, speeds: tuple[float, float]) -> Route:
@@ -176,8 +178,8 @@ def refined(poses: Array, radius: float) -> Array:
 def _divided(knots: Array, parts: Array) -> Array:
     """Divide each span between two knots into a number of equal parts, at least one."""
     count = np.maximum(parts, 1.0).astype(np.intp)
-    share = (np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(
+    fraction = (np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(
         count, count
     )
-    inner = np.repeat(knots[:-1], count) + share * np.repeat(np.diff(knots), count)
+    inner = np.repeat(knots[:-1], count) + fraction * np.repeat(np.diff(knots), count)
     return np.append(inner, knots[-1])

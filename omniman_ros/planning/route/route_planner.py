@@ -12,10 +12,10 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.obstacles.way_out import WayOut
+from omniman_ros.planning.obstacles.escape_path import EscapePath
 from omniman_ros.planning.route import energy_saving
 from omniman_ros.planning.route.problem import RouteProblem
-from omniman_ros.planning.route.route import LEVER, Route, straight
+from omniman_ros.planning.route.route import HEADING_ERROR_LENGTH, Route, straight
 from omniman_ros.planning.route.route_goal import RouteGoal
 from omniman_ros.planning.route.search import RouteSearch
 
@@ -61,7 +61,7 @@ class RouteSource(Enum):
     SEARCH = "searches"
     STRAIGHT_LINE = "a straight line"
     ROUTE = "a route"
-    WAY_OUT = "the way out of what it touches"
+    ESCAPE_PATH = "the way out of what it touches"
     REST = "nothing"
 
 
@@ -76,7 +76,7 @@ class RoutePlanner:
     Attributes:
         goal: Pose (3,) in odom that the route leads to [m, m, rad].
         failure: What is in the way and why the last search found no route, or an empty string.
-        way_out: Way on which the robot leaves what it touches, or None.
+        escape_path: Way on which the robot leaves what it touches, or None.
         is_trapped: Whether the robot touches something, and no way leads out.
     """
 
@@ -85,7 +85,7 @@ class RoutePlanner:
         self.goal = goal
         self.route: Route | None = None
         self.failure = ""
-        self.way_out: WayOut | None = None
+        self.escape_path: EscapePath | None = None
         self.is_trapped = False
         self._kind = RouteSource.STRAIGHT_LINE
         self._gaps = np.array([[0.0], [math.inf]])
@@ -139,7 +139,7 @@ class RoutePlanner:
         end = self.route.poses[-1] if leads and self.route is not None else self.goal
         shift = goal - end
         shift[2] = se2.wrap(float(shift[2]))
-        size = math.hypot(*shift[:2]) + LEVER * abs(float(shift[2]))
+        size = math.hypot(*shift[:2]) + HEADING_ERROR_LENGTH * abs(float(shift[2]))
         if size > MAX_BEND:
             return False
         if self._search is not None or size <= MIN_BEND:
@@ -148,8 +148,8 @@ class RoutePlanner:
             self.goal = goal
         elif self.route is not None:
             self.goal, route = goal, self.route
-            share = route.times / route.duration if route.duration > 0.0 else np.ones(1)
-            self._retime(Route(route.poses + share[:, None] * shift, route.speeds))
+            fraction = route.times / route.duration if route.duration > 0.0 else np.ones(1)
+            self._retime(Route(route.poses + fraction[:, None] * shift, route.speeds))
         return True
 
     def restarted(self, goal: Array) -> "RoutePlanner":
@@ -172,7 +172,7 @@ class RoutePlanner:
             min(full.linear_acceleration, full.linear_deceleration) / full.linear_velocity,
             min(full.angular_acceleration, full.angular_deceleration) / full.angular_velocity,
         )
-        if self._kind is RouteSource.WAY_OUT:
+        if self._kind is RouteSource.ESCAPE_PATH:
             max_pace = SECOND_TRY_PACE
         elif self._tries > 1:
             max_pace = SECOND_TRY_PACE if self._tries == 2 else LATER_TRY_PACE
@@ -210,7 +210,7 @@ class RoutePlanner:
     def _pace(self, route: Route, start: Array) -> float:
         """Return the pace of a state (6,) along the route [s of the route per s]."""
         here, there = route.at(np.array([self._position, self._position + PACE_SPAN]))
-        size = np.array([1.0, 1.0, LEVER])
+        size = np.array([1.0, 1.0, HEADING_ERROR_LENGTH])
         along = size * (there - here) / PACE_SPAN
         velocity = size * se2.to_world(float(start[2]), start[3:])
         return float(velocity @ along) / max(float(along @ along), 1e-6)
@@ -329,7 +329,7 @@ class RoutePlanner:
         self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
     ) -> None:
         """Lead out of what the robot touches, or have it stay and say what that is."""
-        way = WayOut.find(pose, environment)
+        way = EscapePath.find(pose, environment)
         self._progress = now, self._position
         self.is_trapped = way is None
         if way is None:
@@ -337,15 +337,15 @@ class RoutePlanner:
             return
         self.failure, self._next_check = "", now + CHECK_PERIOD
         self._adopt(
-            Route(np.stack([way.start, way.end]), limits.speeds), None, RouteSource.WAY_OUT
+            Route(np.stack([way.start, way.end]), limits.speeds), None, RouteSource.ESCAPE_PATH
         )
-        self.way_out = way
+        self.escape_path = way
 
     def _fail(self, now: float, reason: str) -> None:
         """Have the robot come to rest and stay, because there is no route."""
         self.failure, self._next_check = reason, now + RETRY_DELAY
         if self._kind is not RouteSource.REST:
-            self.route, self.way_out, self._kind = None, None, RouteSource.REST
+            self.route, self.escape_path, self._kind = None, None, RouteSource.REST
 
     def _continue_search(
         self, now: float, pose: Array, environment: Environment, work: int
@@ -360,12 +360,12 @@ class RoutePlanner:
             return
         self._progress = now, self._position
         if route is None:
-            self._fail(now, f"{self._in_the_way(pose, environment)}: {reason}")
+            self._fail(now, f"{self._blocking(pose, environment)}: {reason}")
             return
         self.failure, self._next_check = "", now + CHECK_PERIOD
         self._adopt(route, environment, RouteSource.ROUTE)
 
-    def _in_the_way(self, pose: Array, environment: Environment) -> str:
+    def _blocking(self, pose: Array, environment: Environment) -> str:
         """Return what is at the goal or, if nothing is, in the way to it first."""
         if environment.touches(self.goal):
             return f"{environment.nearest(self.goal)} is at the goal"
@@ -388,7 +388,7 @@ class RoutePlanner:
         """Use a route from its start on; its gaps are computed if an environment is given."""
         # The progress along the last route is kept.
         self._progress = self._progress[0], self._progress[1] - self._position
-        self.route, self._kind, self._position, self.way_out = route, kind, 0.0, None
+        self.route, self._kind, self._position, self.escape_path = route, kind, 0.0, None
         self.is_trapped = self.is_trapped and kind is RouteSource.REST
         self._gaps = np.array([[0.0], [math.inf]])
         if environment is not None:

@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterator
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.route.find import LatticeSearch
-from omniman_ros.planning.route.lattice import Frame, Lattice, Region, Work
+from omniman_ros.planning.route.lattice import Lattice, LatticeFrame, Region, Work
 from omniman_ros.planning.route.occupancy import HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import Route, straight
@@ -118,16 +118,19 @@ class RouteSearch:
                 return
         self.route = line
 
-    def _frames(self, room: Array) -> Iterator[tuple[Frame, int]]:
+    def _frames(self, room: Array) -> Iterator[tuple[LatticeFrame, int]]:
         """Yield frames to try: the usual one, those along an end in a slot, a finer one."""
         problem, edge, headings = self.problem, self._resolution, self._headings
-        yield Frame.of(problem.start, problem.grid, edge), headings
+        yield LatticeFrame.of(problem.start, problem.grid, edge), headings
         for pose, gap in zip(problem.ends, room, strict=True):
             if gap < SLOT:
-                yield Frame(pose[:2], float(pose[2]), edge), headings
-        yield Frame.of(problem.start, problem.grid, 0.5 * edge), min(2 * headings, self._most)
+                yield LatticeFrame(pose[:2], float(pose[2]), edge), headings
+        yield (
+            LatticeFrame.of(problem.start, problem.grid, 0.5 * edge),
+            min(2 * headings, self._most),
+        )
 
-    def _on_lattice(self, frame: Frame, headings: int, room: Array) -> Work:
+    def _on_lattice(self, frame: LatticeFrame, headings: int, room: Array) -> Work:
         """Search ever larger regions until one contains everything or its edge is not reached."""
         ends, everything = frame.own(self.problem.ends), frame.extent(self.problem)
         pad = PAD

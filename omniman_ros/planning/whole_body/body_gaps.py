@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniman_ros.collision.body_geometry import ALWAYS_NEAR, LINKS_BEFORE_WRIST
+from omniman_ros.collision.body_geometry import LINKS_BEFORE_WRIST, UNCHECKED_PAIRS
 from omniman_ros.collision.body_spheres import LOAD, BodySpheres, PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.parameters import LoadShape, ToolShape
@@ -16,14 +16,14 @@ from omniman_ros.collision.signed_gaps import (
     rectangle_gap_derivative,
     rectangle_gaps,
 )
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import HALF_TURN
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
-from omniman_ros.planning.whole_body.surroundings import Hindrances
 
 FAR = 10.0  #: Gap of a row that constrains nothing [m]
 SAME_HEIGHT = 1e-6  #: Change of a height that is round-off [m]
@@ -82,9 +82,9 @@ class BodyGaps:
         self._rectangles = Rectangles.around(robot.body).each()
         self.radius = max(float(each.radius) for each in self._rectangles)
         self._heights = 0.0, platform_top(robot, mount.z)
-        self._deck = UprightSolids.join(
+        self._deck = UprightObstacles.join(
             [
-                UprightSolids.box(
+                UprightObstacles.box(
                     (*each.centre.tolist(), float(each.yaw)),
                     2.0 * float(each.half[0]),
                     2.0 * float(each.half[1]),
@@ -98,8 +98,8 @@ class BodyGaps:
         self._of_part = list(itertools.pairwise((0, *ends.tolist())))
         self._base: Array = mount.pose @ HALF_TURN
         # Spheres on the axes of the first two joints keep their height above the deck.
-        postures = np.linspace(-1.0, 1.0, 3)[:, None] * np.ones(JOINTS)
-        heights = self.spheres.place(postures).centre[..., 2]
+        configurations = np.linspace(-1.0, 1.0, 3)[:, None] * np.ones(JOINTS)
+        heights = self.spheres.place(configurations).centre[..., 2]
         is_moved = np.ptp(heights, axis=0) > SAME_HEIGHT
         self._above: Indices = np.flatnonzero(is_moved)
         names = self.spheres.names
@@ -109,7 +109,7 @@ class BodyGaps:
             for i, a in enumerate(part.tolist())
             for j, b in enumerate(part.tolist())
             if b - a > 1
-            and (a, b) not in ALWAYS_NEAR
+            and (a, b) not in UNCHECKED_PAIRS
             and not (b == load_part and a >= LINKS_BEFORE_WRIST)
         ]
         self._first: Indices = np.array([i for i, _ in pairs])
@@ -118,7 +118,7 @@ class BodyGaps:
     # ---- values only, for checks and the search ---------------------------------------------
 
     def part_name(self, index: int) -> str:
-        """Return the name of a part of the robot by its place in `to_solids`."""
+        """Return the name of a part of the robot by its place in `to_obstacles`."""
         return PLATFORM if index == 0 else self.spheres.names[self.spheres.part[index - 1]]
 
     def nearest_own(self, placed: PlacedSpheres, k: int) -> tuple[str, str]:
@@ -147,52 +147,54 @@ class BodyGaps:
         between -= radius[self._first] + radius[self._second]
         return to_deck, between
 
-    def platform(self, poses: Array, solids: UprightSolids) -> Array:
-        """Return the gaps (k, M) of the platform at poses (k, 3) to solids [m]."""
+    def platform(self, poses: Array, obstacles: UprightObstacles) -> Array:
+        """Return the gaps (k, M) of the platform at poses (k, 3) to obstacles [m]."""
         found = [
-            rectangle_gaps(solids, each.poses(poses), each.half, self._heights)
+            rectangle_gaps(obstacles, each.poses(poses), each.half, self._heights)
             for each in self._rectangles
         ]
         result: Array = np.min(found, axis=0)
         return result
 
     def spheres_least(
-        self, centre: Array, solids: UprightSolids
+        self, centre: Array, obstacles: UprightObstacles
     ) -> tuple[Array, Indices, Indices]:
-        """Return the least gaps (k,) of spheres to some solids [m], with the numbers of both."""
-        gaps = point_gap_values(solids, centre) - self.spheres.radius[:, None]
+        """Return the least gaps (k,) of spheres to obstacles [m], with the numbers of both."""
+        gaps = point_gap_values(obstacles, centre) - self.spheres.radius[:, None]
         flat = gaps.reshape(len(gaps), -1)
         least = flat.argmin(axis=1)
-        sphere, solid = np.divmod(least, len(solids))
-        return flat[np.arange(len(flat)), least], sphere, solid
+        sphere, obstacle = np.divmod(least, len(obstacles))
+        return flat[np.arange(len(flat)), least], sphere, obstacle
 
-    def to_solids(self, poses: Array, placed: PlacedSpheres, solids: UprightSolids) -> Array:
-        """Return the gaps (k, 1 + S, M) of platform and spheres in base_link to solids [m].
+    def to_obstacles(
+        self, poses: Array, placed: PlacedSpheres, obstacles: UprightObstacles
+    ) -> Array:
+        """Return the gaps (k, 1 + S, M) of platform and spheres in base_link to obstacles [m].
 
-        The centres (2, k, M) of the solids may differ from pose to pose (k, 3).
+        The centres (2, k, M) of the obstacles may differ from pose to pose (k, 3).
         """
-        platform = self.platform(poses, solids)
+        platform = self.platform(poses, obstacles)
         points = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
-        gaps = point_gap_values(_for_spheres(solids), points) - self.spheres.radius[:, None]
+        gaps = point_gap_values(_for_spheres(obstacles), points) - self.spheres.radius[:, None]
         return np.concatenate([platform[:, None], gaps], axis=1)
 
     # ---- with derivatives, for the program --------------------------------------------------
 
     def rows(
-        self, at: Configurations, around: Hindrances, ages: Array, reach: float, count: int
+        self, at: Configurations, around: ObstacleSnapshot, ages: Array, reach: float, count: int
     ) -> GapRows:
         """Return the n = `count` nearest gaps at configurations (k,), with derivatives.
 
-        Solids are left out beyond a reach [m]; they are placed at ages (k,) [s].
+        Obstacles are left out beyond a reach [m]; they are placed at ages (k,) [s].
         """
         placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)
         own = self._own_rows(at, placed, moved)
-        solids = self._solid_rows(at, placed, moved, around, ages)
+        obstacles = self._obstacle_rows(at, placed, moved, around, ages)
         joined = GapRows(
-            np.hstack([own.gap, solids.gap]),
-            np.concatenate([own.slope, solids.slope], axis=1),
-            np.hstack([own.kind, solids.kind]),
+            np.hstack([own.gap, obstacles.gap]),
+            np.concatenate([own.slope, obstacles.slope], axis=1),
+            np.hstack([own.kind, obstacles.kind]),
         ).nearest(count)
         is_far = joined.gap > reach
         return GapRows(
@@ -201,37 +203,40 @@ class BodyGaps:
             joined.kind,
         )
 
-    def _solid_rows(
+    def _obstacle_rows(
         self,
         at: Configurations,
         placed: PlacedSpheres,
         moved: Array,
-        around: Hindrances,
+        around: ObstacleSnapshot,
         ages: Array,
     ) -> GapRows:
         """Return the gap of each part to each solid, that of its nearest sphere."""
-        solids, poses, k = around.placed(ages), at.platform, len(at.q)
+        obstacles, poses, k = around.placed(ages), at.platform, len(at.q)
         gaps, slopes = [], []
         for each in self._rectangles:
             gap, by_centre = rectangle_gap_derivative(
-                solids, each.poses(poses), each.half, self._heights
+                obstacles, each.poses(poses), each.half, self._heights
             )
             gaps.append(gap)
             slopes.append(_at_base(by_centre, poses, each))
         centre = in_odom(poses, placed.centre)
-        distance, normal = point_gaps(_for_spheres(solids), np.moveaxis(centre, -1, 0))
+        distance, normal = point_gaps(_for_spheres(obstacles), np.moveaxis(centre, -1, 0))
         distance -= self.spheres.radius[:, None]
         nearest = np.hstack(
             [first + distance[:, first:end].argmin(axis=1) for first, end in self._of_part]
         )  # (k, parts * m)
-        rows, solid = np.arange(k)[:, None], np.tile(np.arange(len(solids)), len(self._of_part))
-        n = np.moveaxis(normal[:, rows, nearest, solid], 0, -1)
-        gaps.append(distance[rows, nearest, solid])
+        rows, obstacle = (
+            np.arange(k)[:, None],
+            np.tile(np.arange(len(obstacles)), len(self._of_part)),
+        )
+        n = np.moveaxis(normal[:, rows, nearest, obstacle], 0, -1)
+        gaps.append(distance[rows, nearest, obstacle])
         slopes.append(_by_coordinates(at, n, centre[rows, nearest], moved[rows, nearest], poses))
         gap = np.hstack(gaps)
-        repeats = gap.shape[1] // max(len(solids), 1)
+        repeats = gap.shape[1] // max(len(obstacles), 1)
         still = len(around.standing)
-        kind, growth = np.full(len(solids), STANDING), np.zeros(len(solids))
+        kind, growth = np.full(len(obstacles), STANDING), np.zeros(len(obstacles))
         kind[still:], growth[still:] = MOVING, around.growth
         gap -= np.tile(growth, repeats) * np.maximum(ages, 0.0)[:, None]
         kinds = np.broadcast_to(np.tile(kind, repeats), gap.shape)
@@ -264,9 +269,9 @@ class BodyGaps:
         )
 
 
-def _for_spheres(solids: UprightSolids) -> UprightSolids:
-    """Return solids with centres (2, ..., M) for spheres, which have an axis before M."""
-    return replace(solids, centre=solids.centre[..., None, :])
+def _for_spheres(obstacles: UprightObstacles) -> UprightObstacles:
+    """Return obstacles with centres (2, ..., M) for spheres, which have an axis before M."""
+    return replace(obstacles, centre=obstacles.centre[..., None, :])
 
 
 def in_odom(poses: Array, points: Array) -> Array:
@@ -293,14 +298,14 @@ def _by_coordinates(
     """Return derivatives (k, M, 4) of gaps by the coordinates.
 
     Normals (k, M, 3) are the derivatives by the centres, in odom; centres (k, M, 3) and poses (k,
-    3) are in the frame of the solids; `moved` (k, M, 3, 6) is by the joints, in base_link.
+    3) are in the frame of the obstacles; `moved` (k, M, 3, 6) is by the joints, in base_link.
     """
-    lever = centre[..., :2] - poses[:, None, :2]
+    lever_arm = centre[..., :2] - poses[:, None, :2]
     c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
     nx, ny, nz = np.moveaxis(normal, -1, 0)
     in_base = np.stack((c * nx + s * ny, c * ny - s * nx, nz), axis=-1)
     result: Array = np.einsum("kmi,kmij->kmj", in_base, moved) @ at.rates
     result[..., 0] += nx
     result[..., 1] += ny
-    result[..., 2] += ny * lever[..., 0] - nx * lever[..., 1]
+    result[..., 2] += ny * lever_arm[..., 0] - nx * lever_arm[..., 1]
     return result

@@ -4,10 +4,12 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.program import (
     LIMITS,
     MOVING,
@@ -19,12 +21,10 @@ from omniman_ros.planning.whole_body.program import (
 )
 from omniman_ros.planning.whole_body.redundancy import (
     COORDINATES,
-    PLACE,
+    PATH_PARAMETER,
     Configurations,
     ToolRedundancy,
 )
-from omniman_ros.planning.whole_body.surroundings import Hindrances
-from omniman_ros.planning.whole_body.way import Way
 
 #: Largest changes of the redundancy coordinates in one step [m, m, rad, m]
 TRUST = np.array([0.12, 0.12, 0.2, 0.12])
@@ -32,34 +32,34 @@ SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])  #: Weights of the slack, by its
 SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])  #: Weights of the squares of the slack
 PROGRESS_WEIGHT = 8.0  #: Weight of the distance on the path from where the tool should be [1/m^2]
 #: Weights of the distance from the searched way [1/m^2, 1/rad^2]
-WAY_WEIGHTS = np.array([4.0, 4.0, 1.5])
+PATH_WEIGHTS = np.array([4.0, 4.0, 1.5])
 RATE_WEIGHT = 0.05  #: Weight of the joints' rates [s^2/rad^2]
 #: Weights of the rates of the coordinates [s^2/m^2, s^2/rad^2]
 PLATFORM_RATE_WEIGHTS = np.array([0.5, 0.5, 0.2, 0.0])
 #: Weights of the accelerations of the coordinates
 CONTROL_WEIGHTS: Array = np.array([0.15, 0.15, 0.05, 0.3])
-GAP_REACH = 0.6  #: Gap beyond which a solid does not matter to a plan [m]
+GAP_CUTOFF = 0.6  #: Gap beyond which an obstacle does not matter to a plan [m]
 OWN_CLEARANCE = 0.02  #: Gap that plans keep between parts of the robot [m]
 ONSET = 1.3  #: Margin to singularities that plans keep, relative to the least one
 ANGLE_RESERVE = 0.05  #: Distance that plans keep from the ends of the joints [rad]
-DIAGONAL = np.sqrt(0.5)  #: Share of the limit of a vector that each of its components may use
+DIAGONAL = np.sqrt(0.5)  #: Fraction of the limit of a vector that each of its components may use
 
 
 class Linearisation:
     """Improves plans.
 
     Limits of the tool are its largest speed [m/s] and acceleration [m/s^2] on its path, least
-    margin to singularities, and share of the axes' limits that is left free.
+    margin to singularities, and fraction of the axes' limits that is left free.
     """
 
     def __init__(
         self,
         redundancy: ToolRedundancy,
         gaps: BodyGaps,
-        resolver: PostureResolver,
+        resolver: RedundancyResolver,
         limits: WholeBodyLimits,
         tool: tuple[float, float, float, float],
-        options: DodgeOptions,
+        options: AvoidanceOptions,
     ) -> None:
         self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
         self._options = options
@@ -92,8 +92,8 @@ class Linearisation:
         rates: Array,
         controls: Array,
         times: Array,
-        way: Way,
-        around: Hindrances,
+        way: PlatformPath,
+        around: ObstacleSnapshot,
     ) -> tuple[Array, Array]:
         """Return a better plan: coordinates and rates (N + 1, 4), at rest at the end.
 
@@ -123,19 +123,19 @@ class Linearisation:
     # ---- cost -------------------------------------------------------------------------------
 
     def _cost(
-        self, at: Configurations, z: Array, rates: Array, controls: Array, way: Way
+        self, at: Configurations, z: Array, rates: Array, controls: Array, way: PlatformPath
     ) -> Quadratic:
         """Return the cost and the bounds at a guess."""
         o, n, end = self._options, len(controls), self._redundancy.path.end
         time = o.step * np.arange(1, n + 1)
-        wanted = np.minimum(z[0, PLACE] + self._speed * time, end)
-        pose, slope = way.at(z[1:, PLACE])
+        wanted = np.minimum(z[0, PATH_PARAMETER] + self._speed * time, end)
+        pose, slope = way.at(z[1:, PATH_PARAMETER])
         by_z = np.zeros((n, 4, COORDINATES))
         by_z[:, range(3), range(3)] = 1.0
-        by_z[:, :3, PLACE] = -slope
-        by_z[:, 3, PLACE] = 1.0
-        off = np.column_stack([z[1:, :3] - pose, z[1:, PLACE] - wanted])
-        weights = np.append(WAY_WEIGHTS, PROGRESS_WEIGHT)
+        by_z[:, :3, PATH_PARAMETER] = -slope
+        by_z[:, 3, PATH_PARAMETER] = 1.0
+        off = np.column_stack([z[1:, :3] - pose, z[1:, PATH_PARAMETER] - wanted])
+        weights = np.append(PATH_WEIGHTS, PROGRESS_WEIGHT)
         hessian, gradient = np.zeros((n, STATES, STATES)), np.zeros((n, STATES))
         weighted = np.swapaxes(by_z, 1, 2) * weights
         hessian[:, :COORDINATES, :COORDINATES] = 2.0 * weighted @ by_z
@@ -147,11 +147,11 @@ class Linearisation:
         hessian[:, range(STATES), range(STATES)] += 1e-4
         states = np.empty((2, n, STATES))
         states[0, :, :COORDINATES], states[1, :, :COORDINATES] = -TRUST, TRUST
-        beyond = end - z[1:, PLACE]
-        states[1, :, PLACE] = np.maximum(np.minimum(TRUST[PLACE], beyond), 0.0)
+        beyond = end - z[1:, PATH_PARAMETER]
+        states[1, :, PATH_PARAMETER] = np.maximum(np.minimum(TRUST[PATH_PARAMETER], beyond), 0.0)
         states[0, :, COORDINATES:] = np.minimum(-self._top - rates[1:], 0.0)
         states[1, :, COORDINATES:] = np.maximum(self._top - rates[1:], 0.0)
-        states[0, :, COORDINATES + PLACE] = np.minimum(-rates[1:, PLACE], 0.0)
+        states[0, :, COORDINATES + PATH_PARAMETER] = np.minimum(-rates[1:, PATH_PARAMETER], 0.0)
         states[:, -1, COORDINATES:] = -rates[-1]
         control = np.stack(
             [
@@ -164,10 +164,10 @@ class Linearisation:
 
     # ---- rows -------------------------------------------------------------------------------
 
-    def _gap_rows(self, at: Configurations, around: Hindrances, ages: Array) -> StageRows:
+    def _gap_rows(self, at: Configurations, around: ObstacleSnapshot, ages: Array) -> StageRows:
         """Return the rows of the nearest gaps."""
         o = self._options
-        found = self._gaps.rows(at, around, ages, GAP_REACH, o.gaps)
+        found = self._gaps.rows(at, around, ages, GAP_CUTOFF, o.gaps)
         clearance = np.array([OWN_CLEARANCE, o.clearance, o.moving_clearance])[found.kind]
         by_x = np.concatenate([found.slope, np.zeros_like(found.slope)], axis=2)
         return StageRows(

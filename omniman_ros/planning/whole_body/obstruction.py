@@ -40,7 +40,7 @@ class Obstruction:
     """What is in the way."""
 
     cause: Cause  #: Why the motion must not be followed
-    place: float  #: Place on the path of the tool [m]
+    path_parameter: float  #: Place on the path of the tool [m]
     #: Name of the part of the robot that has no room, or of the axis; empty if none
     part: str = ""
     #: Name of the obstacle, or of the robot's own part that is too near; the reason of the solver
@@ -53,7 +53,7 @@ class Obstruction:
         return TEXTS[self.cause].format(part=self.part, other=self.other)
 
     def __str__(self) -> str:
-        return f"{self.place:.2f} m along the path, {self.reason}"
+        return f"{self.path_parameter:.2f} m along the path, {self.reason}"
 
 
 def status_values(found: Obstruction | None) -> list[tuple[str, object]]:
@@ -61,5 +61,5 @@ def status_values(found: Obstruction | None) -> list[tuple[str, object]]:
     keys = ("obstruction", "obstruction_place", "obstruction_part", "obstruction_by")
     values: tuple[object, ...] = ("",) * len(keys)
     if found is not None:
-        values = found.cause.value, round(found.place, 3), found.part, found.other
+        values = found.cause.value, round(found.path_parameter, 3), found.part, found.other
     return list(zip(keys, values, strict=True))

@@ -7,7 +7,7 @@ from omniman_ros.core.parameters import parameter
 
 
 @dataclass(frozen=True)
-class WayOptions:
+class PathSearchOptions:
     """Options of the search for the platform's way."""
 
     layer: float = parameter(
@@ -39,10 +39,10 @@ class WayOptions:
 
 
 @dataclass(frozen=True)
-class DodgeOptions:
+class AvoidanceOptions:
     """Options of the control of the whole body in its redundancy."""
 
-    way: WayOptions
+    way: PathSearchOptions
     steps: int = parameter(25, "Steps N of the horizon.", low=5, high=60)
     step: float = parameter(
         0.1, "Time over which accelerations are held.", unit="s", low=0.02, high=0.5

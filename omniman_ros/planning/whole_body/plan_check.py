@@ -7,18 +7,18 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.posture import PostureResolver
-from omniman_ros.planning.motion import Motion
+from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
-from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
 
 SAMPLE_STEP = 0.04  #: Time between two samples of a motion [s]
 #: How much nearer a body may come that is within the least clearance at the beginning [m]
 APPROACH = 0.002
-#: Share of a limit of the arm and the wheels that a motion may use between the program's nodes;
+#: Fraction of a limit of the arm and the wheels that a motion may use between the program's nodes;
 #: the program leaves the reserve of the limits free.
 EXCESS = 1.1
 AXIS_NAMES = {
@@ -32,7 +32,7 @@ AXIS_NAMES = {
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PlanVerdict:
     """Result of a check."""
 
     obstruction: Obstruction | None  #: Why the motion must not be followed; None if it may
@@ -48,7 +48,7 @@ class Verdict:
         """Whether the motion may be followed."""
         return self.obstruction is None
 
-    def is_safer(self, other: "Verdict") -> bool:
+    def is_safer(self, other: "PlanVerdict") -> bool:
         """Whether contact comes later than with another motion, or the gap stays wider."""
         mine, theirs = (self.is_possible, self.contact), (other.is_possible, other.contact)
         return mine > theirs or (mine == theirs and self.gap > other.gap)
@@ -61,28 +61,30 @@ class PlanCheck:
         self,
         redundancy: ToolRedundancy,
         gaps: BodyGaps,
-        resolver: PostureResolver,
+        resolver: RedundancyResolver,
         limits: WholeBodyLimits,
         least_margin: float,
-        options: DodgeOptions,
+        options: AvoidanceOptions,
     ) -> None:
         self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
         self._limits, self._options = limits, options
         self._least_margin = least_margin
         self._signs = resolver.signs(redundancy.centre)
 
-    def judge(self, motion: Motion, now: float, until: float, around: Hindrances) -> Verdict:
+    def judge(
+        self, motion: HermiteTrajectory, now: float, until: float, around: ObstacleSnapshot
+    ) -> PlanVerdict:
         """Check a motion to its end, or longer; what moves is looked at up to `until` [s]."""
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)
         z, rates = motion.at(times)
         q = self._redundancy.axes(z)
         if fault := self._impossible(times, z, rates, q):
-            return Verdict(fault, False, 0.0, -math.inf)
+            return PlanVerdict(fault, False, 0.0, -math.inf)
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
-        solids = around.placed(times - around.time)
-        of_parts = self._gaps.to_solids(z[:, :3], placed, solids)
+        obstacles = around.placed(times - around.time)
+        of_parts = self._gaps.to_obstacles(z[:, :3], placed, obstacles)
         gaps = of_parts.min(axis=1)
         standing = len(around.standing)
         least = np.minimum(own, gaps.min(axis=1, initial=np.inf))
@@ -95,10 +97,10 @@ class PlanCheck:
         own_allowed = min(self._options.own_clearance, float(own[0]) - APPROACH)
         found = nearest = None
 
-        def obstacle(k: int, solid: int) -> Obstruction:
-            cause = Cause.STANDING if solid < standing else Cause.MOVING
-            part = self._gaps.part_name(int(of_parts[k, :, solid].argmin()))
-            return Obstruction(cause, float(z[k, PLACE]), part, around.labels()[solid])
+        def obstacle(k: int, index: int) -> Obstruction:
+            cause = Cause.STANDING if index < standing else Cause.MOVING
+            part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
+            return Obstruction(cause, float(z[k, PATH_PARAMETER]), part, around.labels()[index])
 
         if gaps.shape[1]:
             clearance = np.full(gaps.shape[1], self._options.clearance)
@@ -111,14 +113,14 @@ class PlanCheck:
         elif (own < own_allowed).any():
             k = int((own < own_allowed).argmax())
             pair = self._gaps.nearest_own(placed, k)
-            found = Obstruction(Cause.SELF, float(z[k, PLACE]), *pair)
-        return Verdict(found, True, contact, float(least.min()), nearest)
+            found = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *pair)
+        return PlanVerdict(found, True, contact, float(least.min()), nearest)
 
     def _impossible(self, times: Array, z: Array, rates: Array, q: Array) -> Obstruction | None:
         """Return why a motion cannot be executed, or None."""
         is_reached = np.isfinite(q).all(axis=1) & np.isfinite(rates).all(axis=1)
         if not is_reached.all():
-            return Obstruction(Cause.REACH, float(z[int(is_reached.argmin()), PLACE]))
+            return Obstruction(Cause.REACH, float(z[int(is_reached.argmin()), PATH_PARAMETER]))
         limits, arm, span = self._limits, q[:, 3:], times[1] - times[0]
         margins, _ = self._resolver.margins(arm, self._signs)
         speeds = np.diff(arm, axis=0) / span
@@ -137,6 +139,6 @@ class PlanCheck:
         for cause, broken in faults.items():
             if broken.any():
                 k, axis = np.unravel_index(int(broken.argmax()), broken.shape)
-                place = float(z[k, PLACE])
+                place = float(z[k, PATH_PARAMETER])
                 return Obstruction(cause, place, AXIS_NAMES[cause].format(int(axis) + 1))
         return None

@@ -53,7 +53,7 @@ class Quadratic:
 
 
 @dataclass(frozen=True)
-class Step:
+class ProgramSolution:
     """Solution of a program."""
 
     controls: Array  #: (N, 4) changes of the accelerations
@@ -120,7 +120,7 @@ class RedundancyProgram:
             },
         )
 
-    def solve(self, rows: StageRows, cost: Quadratic) -> Step:
+    def solve(self, rows: StageRows, cost: Quadratic) -> ProgramSolution:
         """Return the step that minimises a cost within bounds and rows.
 
         Raises:
@@ -150,4 +150,6 @@ class RedundancyProgram:
         found = self._qp.solve_entries(
             hessian[self._of_h], gradient.ravel(), source[self._of_a], bounds
         ).reshape(n, self._width)
-        return Step(found[:, :COORDINATES], found[:, inputs:], found[:, COORDINATES:inputs])
+        return ProgramSolution(
+            found[:, :COORDINATES], found[:, inputs:], found[:, COORDINATES:inputs]
+        )

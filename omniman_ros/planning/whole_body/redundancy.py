@@ -15,7 +15,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
 COORDINATES = 4  #: Number of redundancy coordinates
-PLACE = 3  #: Index of the place on the path among them
+PATH_PARAMETER = 3  #: Index of the place on the path among them
 DIFFERENCE_STEP = 1e-5  #: Step of the numerical derivative of the Jacobian [s]
 SINGULAR = 1e-9  #: Determinant of the arm's Jacobian below which it counts as singular
 
@@ -78,7 +78,7 @@ class ToolRedundancy:
     def axes(self, z: Array) -> Array:
         """Return all axes (k, 9) at coordinates (k, 4); NaN where the tool is out of reach."""
         platform = z[:, :3]
-        return np.hstack([platform, self.arm(platform, self.path.pose(z[:, PLACE]))])
+        return np.hstack([platform, self.arm(platform, self.path.pose(z[:, PATH_PARAMETER]))])
 
     def arm(self, platform: Array, tool: Array) -> Array:
         """Return joint angles (k, 6) for poses of platform (k, 3) and tool (k, 4, 4)."""
@@ -89,7 +89,7 @@ class ToolRedundancy:
 
         The derivatives are NaN where the arm is singular or does not reach the tool.
         """
-        pose, twist, bend = self.path.motion(z[:, PLACE])
+        pose, twist, bend = self.path.motion(z[:, PATH_PARAMETER])
         q = np.hstack([z[:, :3], self.arm(z[:, :3], pose)])
         frames = self.model.arm.frames(q[:, 3:])
         jacobian = self.model.jacobian_of(q, frames)
@@ -103,7 +103,7 @@ class ToolRedundancy:
         step = DIFFERENCE_STEP * rates
         ahead, behind = self.model.jacobian(np.stack([at.q + step, at.q - step]))
         turning = _times(ahead - behind, rates) / (2.0 * DIFFERENCE_STEP)
-        right = at.bend * velocity[:, PLACE, None] ** 2 - turning
+        right = at.bend * velocity[:, PATH_PARAMETER, None] ** 2 - turning
         return _solved(at.jacobian[:, :, 3:], right[:, :, None])[:, :, 0]
 
 

@@ -13,18 +13,18 @@ from omniman_ros.motion.whole_body.held_tool import HeldTool
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.controller import CycleOutcome, WholeBodyController
 from omniman_ros.planning.whole_body.linearisation import Linearisation
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.plan_check import PlanCheck
+from omniman_ros.planning.whole_body.platform_path import PlatformPath
+from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
 from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
-from omniman_ros.planning.whole_body.surroundings import Hindrances
-from omniman_ros.planning.whole_body.way import Way
-from omniman_ros.planning.whole_body.way_search import WaySearch
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class BodySetup:
     tool: ToolShape
     load: LoadShape | None  #: Shape of the load, if any
     path: ToolPathOptions  #: Options of tool paths
-    dodge: DodgeOptions  #: Options of the way around obstacles
+    dodge: AvoidanceOptions  #: Options of the way around obstacles
 
 
 class BodyTask:
@@ -55,10 +55,15 @@ class BodyTask:
     has_end = True
 
     def __init__(
-        self, setup: BodySetup, redundancy: ToolRedundancy, way: Way, start: Array, time: float
+        self,
+        setup: BodySetup,
+        redundancy: ToolRedundancy,
+        way: PlatformPath,
+        start: Array,
+        time: float,
     ) -> None:
         limits, options, o = setup.limits, setup.path, setup.dodge
-        resolver = PostureResolver(redundancy.model, limits, options)
+        resolver = RedundancyResolver(redundancy.model, limits, options)
         resolver.signs(start[3:])  # raises on a singularity, where there is no branch
         gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing)
         least = options.singularity
@@ -74,14 +79,14 @@ class BodyTask:
         )
         self.controller.begin(time, np.append(start[:3], 0.0))
 
-    def search(self, time: float, around: Hindrances) -> None:
+    def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew from where the robot is at a time [s], as something new stands.
 
         Raises:
             NoWayError: There is none; the way before stays.
         """
 
-    def cycle(self, now: float, around: Hindrances) -> CycleOutcome:
+    def cycle(self, now: float, around: ObstacleSnapshot) -> CycleOutcome:
         """Choose the motion from a time [s] on; see :meth:`WholeBodyController.cycle`."""
         return self.controller.cycle(now, self.way, around)
 
@@ -107,23 +112,23 @@ class WholeBodyTask(BodyTask):
     """
 
     def __init__(
-        self, setup: BodySetup, poses: Array, start: Array, time: float, around: Hindrances
+        self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
     ) -> None:
         model = WholeBodyModel(setup.description.mount)
         limits, options, o = setup.limits, setup.path, setup.dodge
         ToolPlanner(model, limits, options).require_valid(poses, start)
         path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
-        resolver = PostureResolver(model, limits, options)
+        resolver = RedundancyResolver(model, limits, options)
         resolver.signs(start[3:])  # raises on a singularity, where there is no branch
         redundancy = ToolRedundancy(model, path, start[3:])
         coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
-        self._search = WaySearch(
+        self._search = PlatformPathSearch(
             redundancy, path, coarse, resolver, limits, options.singularity, o.way
         )
         way = self._search.find(np.append(start[:3], 0.0), around)
         super().__init__(setup, redundancy, way, start, time)
 
-    def search(self, time: float, around: Hindrances) -> None:
+    def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew; see the base class."""
         at, _ = self.controller.motion.sample(time)
         self.way = self._search.find(at, around)
@@ -146,5 +151,5 @@ class ToolHold(BodyTask):
             raise InputError(f"the start must be {AXES} finite positions")
         model = WholeBodyModel(setup.description.mount)
         held = HeldTool(model.forward(start))
-        way = Way(0.0, 1.0, np.tile(start[:3], (2, 1)))
+        way = PlatformPath(0.0, 1.0, np.tile(start[:3], (2, 1)))
         super().__init__(setup, ToolRedundancy(model, held, start[3:]), way, start, time)

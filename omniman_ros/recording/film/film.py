@@ -79,9 +79,9 @@ class Film:
         for number, shot in enumerate(self._shots):
             camera = self._camera(shot)
             for time in shot.times(self._format.rate):
-                share = (before + (time - shot.start) / shot.speed) / self._length
+                fraction = (before + (time - shot.start) / shot.speed) / self._length
                 image = self._frame(number, camera, float(time))
-                self._captions.write(image, self._caption(shot, float(time), share))
+                self._captions.write(image, self._caption(shot, float(time), fraction))
                 yield image
             before += shot.on_screen
 
@@ -181,16 +181,16 @@ class Film:
         following = min(index + 1, len(log.world.values) - 1)
         before, after = log.world.values[index], log.world.values[following]
         start, end = log.world.times[index], log.world.times[following]
-        share = (time - start) / (end - start) if end > start else 0.0
+        fraction = (time - start) / (end - start) if end > start else 0.0
         if len(log.robot.truth):
             true_pose = _interpolated_pose(log.robot.truth, time)
             shift = se2.compose(self.pose(time), se2.inverse(true_pose))
         else:
             shift = (0.0, 0.0, 0.0)
         if len(before) != len(after):
-            share = 0.0
-        moved = zip(before, after if share else before, strict=True)
-        return [_moved(first, second, share, shift) for first, second in moved]
+            fraction = 0.0
+        moved = zip(before, after if fraction else before, strict=True)
+        return [_moved(first, second, fraction, shift) for first, second in moved]
 
     def _goal(self, time: float) -> Triple | None:
         goals = self._log.robot.goals
@@ -200,7 +200,7 @@ class Film:
         x, y, theta = known[-1, 1:4].tolist()
         return x, y, theta
 
-    def _caption(self, shot: Shot, time: float, share: float) -> Caption:
+    def _caption(self, shot: Shot, time: float, fraction: float) -> Caption:
         title, subtitle = TITLES[shot.kind]
         dead = self._log.dead_wheels.at(time) or ()
         alarm = ""
@@ -209,7 +209,7 @@ class Film:
         elif dead:
             alarm = f"no torque: {', '.join(dead)}"
         corner = f"{shot.speed:.1f}x" if shot.speed > 1.05 else ""
-        return Caption(title, subtitle, corner, alarm, share)
+        return Caption(title, subtitle, corner, alarm, fraction)
 
 
 _DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  #: Directions around a position
@@ -222,8 +222,8 @@ def _outline(solid: Solid) -> Array:
     return np.asarray(points @ se2.rotation(angle)[:2, :2] + np.array([x, y]))
 
 
-def _moved(first: Solid, second: Solid, share: float, shift: Triple) -> Solid:
-    x, y = (a + share * (b - a) for a, b in zip(first.place[:2], second.place[:2], strict=True))
+def _moved(first: Solid, second: Solid, fraction: float, shift: Triple) -> Solid:
+    x, y = (a + fraction * (b - a) for a, b in zip(first.place[:2], second.place[:2], strict=True))
     place = se2.compose(shift, (x, y, first.place[2]))
     return Solid(first.is_round, place, first.size, first.heights)
 
@@ -238,7 +238,7 @@ def _interpolated_pose(table: Array, time: float) -> Triple:
     after = min(int(np.searchsorted(table[:, 0], time)), len(table) - 1)
     first, second = table[max(after - 1, 0)], table[after]
     gap = second[0] - first[0]
-    share = min(max((time - first[0]) / gap, 0.0), 1.0) if gap > 0.0 else 0.0
+    fraction = min(max((time - first[0]) / gap, 0.0), 1.0) if gap > 0.0 else 0.0
     turn = float(np.arctan2(np.sin(second[3] - first[3]), np.cos(second[3] - first[3])))
-    x, y = first[1:3] + share * (second[1:3] - first[1:3])
-    return float(x), float(y), float(first[3] + share * turn)
+    x, y = first[1:3] + fraction * (second[1:3] - first[1:3])
+    return float(x), float(y), float(first[3] + fraction * turn)

@@ -21,7 +21,7 @@ from omniman_ros.viewer.style import Colour, rgb
 SAMPLES = 2  #: Pixels along each side that are drawn for one of the film
 FLOOR = rgb("#f6f7f9")
 GRID = rgb("#e3e7eb")
-SHADOW = 0.72  #: Share of the light that reaches the floor in a shadow
+SHADOW = 0.72  #: Fraction of the light that reaches the floor in a shadow
 SHADOW_BLUR = 2.0  #: Radius of the blur of a shadow's edge [drawn px]
 #: Direction towards the light, in `odom`
 LIGHT = np.array([0.25, 0.45, 0.86]) / math.hypot(0.25, 0.45, 0.86)
@@ -58,7 +58,7 @@ class Caption:
     subtitle: str
     corner: str  #: Text at the upper right
     alarm: str = ""  #: Text of a banner, which is empty if there is none
-    share: float = 0.0  #: Share of the film that has been shown, 0 to 1
+    fraction: float = 0.0  #: Fraction of the film that has been shown, 0 to 1
 
 
 def floor_picture(camera: Camera, occupancy: OccupancyMap | None) -> Any:
@@ -176,7 +176,9 @@ class CaptionWriter:
                 (0.5 * width, high + 20 * unit), caption.alarm, "white", self._text, anchor="mm"
             )
         draw.rectangle((0, height - 4 * unit, width, height), fill=rgb("#dde2e7"))
-        draw.rectangle((0, height - 4 * unit, caption.share * width, height), fill=rgb("#1971c2"))
+        draw.rectangle(
+            (0, height - 4 * unit, caption.fraction * width, height), fill=rgb("#1971c2")
+        )
 
     @staticmethod
     def _dim(image: Any, box: tuple[float, ...]) -> None:

@@ -9,7 +9,7 @@ from omniman_ros.simulation.arm_link.frames import (
     StateReader,
     encode_setpoint,
 )
-from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
+from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, SimulationLinkError
 
 CONNECT_TIMEOUT = 0.02  #: Longest time for connecting [s], during which the caller is blocked
 
@@ -44,7 +44,7 @@ class ArmLinkClient:
             return []
         try:
             return self._reader.receive(self._connection.receive())
-        except (LinkError, InputError) as error:
+        except (SimulationLinkError, InputError) as error:
             self.close(str(error))
             return []
 
@@ -54,7 +54,7 @@ class ArmLinkClient:
             return
         try:
             self._connection.send(encode_setpoint(setpoint))
-        except LinkError as error:
+        except SimulationLinkError as error:
             self.close(str(error))
 
     def wait(self, timeout: float) -> bool:

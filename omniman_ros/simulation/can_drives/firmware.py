@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 import can
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
+from omniman_ros.simulation.can_drives.motor import DriveFaults, DriveMotor
 
 ROUNDING = 1e-6  #: Fraction of a period by which a rounded time may lie before its grid point
 
@@ -84,7 +84,7 @@ class Firmware(ABC):
     and the encoder with its faults.
     """
 
-    def __init__(self, motor: Motor, boot_time: float) -> None:
+    def __init__(self, motor: DriveMotor, boot_time: float) -> None:
         self.faults = DriveFaults()  #: Faults to simulate; the caller may change them at any time
         self._motor = motor
         self._boot_time = boot_time

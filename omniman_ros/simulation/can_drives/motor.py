@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 
-class Motor(Protocol):
+class DriveMotor(Protocol):
     """Motor of one drive, as its firmware sees it; quantities at the motor's shaft.
 
     A motor whose encoder is detected to be wrong brakes by itself until it is released.

@@ -14,7 +14,7 @@ import can
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.firmware import Firmware, Timer, require_above
-from omniman_ros.simulation.can_drives.motor import Motor
+from omniman_ros.simulation.can_drives.motor import DriveMotor
 
 REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
 
@@ -155,7 +155,7 @@ class VescDrive(Firmware):
         ParameterError: The node is not from 0 to 254.
     """
 
-    def __init__(self, motor: Motor, node: int, settings: VescSettings) -> None:
+    def __init__(self, motor: DriveMotor, node: int, settings: VescSettings) -> None:
         if not 0 <= node < BROADCAST_NODE:
             raise ParameterError("node", node, "must be a node id of a VESC, 0 to 254")
         super().__init__(motor, settings.boot_time)

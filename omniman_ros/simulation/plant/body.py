@@ -10,7 +10,7 @@ from omniman_ros.simulation.plant.gear_motor import GearMotor
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 
-class Body(Protocol):
+class WheeledBody(Protocol):
     """A robot on its wheels that voltages at the motors move, one substep at a time."""
 
     @property

@@ -144,7 +144,7 @@ def smooth_friction(speed: float, limit: float, width: float) -> tuple[float, fl
     return -limit * ratio, limit * (1.0 - ratio * ratio) / root
 
 
-class Contact:
+class ContactFriction:
     """Friction of one wheel on the floor in one direction, linearised for the equations of a step.
 
     The force follows its law at the end of the step, which damps stiff laws. Where that would add

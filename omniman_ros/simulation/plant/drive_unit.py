@@ -33,7 +33,7 @@ class DriveSettings:
     efficiency: float  #: Efficiency of the gear
     max_voltage: float  #: Limit of the voltage [V]
     max_current: float  #: Limit of the current [A]
-    inertia: float  #: Inertia of wheel and its share of the robot, at the wheel [kg m^2]
+    inertia: float  #: Inertia of wheel and its fraction of the robot, at the wheel [kg m^2]
     step: float  #: Period of the loops [s]
     firmware: FirmwareParameters  #: Parameters of the loops
 

@@ -9,7 +9,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
-from omniman_ros.simulation.plant.body import Body
+from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.drive_unit import DriveUnit, drive_settings
 from omniman_ros.simulation.plant.encoder import Encoder
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
@@ -39,7 +39,7 @@ class DrivenWheels:
         robot: Robot,
         parameters: SimulationParameters,
         seed: int = 0,
-        body: Body | None = None,
+        body: WheeledBody | None = None,
     ) -> None:
         self._random = random.Random(seed)
         self.plant = Plant(robot, parameters) if body is None else body  #: Body and wheels

@@ -9,7 +9,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
-from omniman_ros.simulation.plant.body import Body
+from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
@@ -19,7 +19,7 @@ MIN_RAMP_FRACTION = 0.05  #: Smallest fraction of the deceleration with which a 
 
 
 @dataclass(frozen=True)
-class WheelStates:
+class SimulatedWheelStates:
     """Feedback of all wheels; read-only arrays, shape (n,)."""
 
     position: Array  #: Wheel angles in whole encoder steps [rad]; not wrapped
@@ -44,7 +44,7 @@ class SimulatedDrives:
         robot: Robot,
         parameters: SimulationParameters,
         seed: int = 0,
-        body: Body | None = None,
+        body: WheeledBody | None = None,
     ) -> None:
         self._robot = robot
         self._parameters = parameters
@@ -159,7 +159,7 @@ class SimulatedDrives:
 
     # feedback
 
-    def wheel_states(self, now: float) -> WheelStates:
+    def wheel_states(self, now: float) -> SimulatedWheelStates:
         """Integrate up to time `now` [s], and return the measurements of the drives."""
         self.advance(now)
         wheels = self._wheels
@@ -168,7 +168,7 @@ class SimulatedDrives:
         ]
         table = np.array(rows).T
         table.flags.writeable = False
-        return WheelStates(*table)
+        return SimulatedWheelStates(*table)
 
     def electrical(self) -> Array:
         """Return voltage [V], measured current [A] and consumed energy [J] per wheel, (n, 3)."""

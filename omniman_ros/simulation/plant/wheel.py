@@ -12,7 +12,7 @@ value that holds it, within their bounds. Where that would feed energy in, becau
 reverses or stops within the step, they follow w_mid instead.
 """
 
-from omniman_ros.simulation.plant.contact import Contact
+from omniman_ros.simulation.plant.contact import ContactFriction
 from omniman_ros.simulation.plant.gear_motor import GearMotor
 
 
@@ -26,7 +26,7 @@ class Wheel(GearMotor):
 
     def __init__(self) -> None:
         super().__init__()
-        self.axis, self.free = Contact(), Contact()
+        self.axis, self.free = ContactFriction(), ContactFriction()
         self.inertia = 1.0  #: Moment of inertia of wheel, gear and rotor about the axle [kg m^2]
         self.roller = self.slip = 0.0
         self._base = self._load = self._speed0 = 0.0

@@ -6,7 +6,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur.dynamics import ArmDynamics
 
 
-class JointMotion(Protocol):
+class JointMotionState(Protocol):
     """Angles and speeds of joints."""
 
     @property
@@ -18,7 +18,7 @@ class JointMotion(Protocol):
         """Speeds (6,) [rad/s]."""
 
 
-class ArmBody(JointMotion, Protocol):
+class ArmBody(JointMotionState, Protocol):
     """Joints with drives and brakes; angles and speeds are measured.
 
     In each cycle, :meth:`measure` is called first, and then one of :meth:`follow`, :meth:`brake`
@@ -26,7 +26,7 @@ class ArmBody(JointMotion, Protocol):
     """
 
     @property
-    def reference(self) -> JointMotion:
+    def reference(self) -> JointMotionState:
         """Motion that the drives are told to make, within the limits of the joints."""
 
     @property

@@ -12,8 +12,14 @@ from omniman_ros.simulation.ur import rtde_outputs
 from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, UrArmParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.faults import UrFaultParameters
-from omniman_ros.simulation.ur.modes import MOVING, Modes, RobotMode, RuntimeState, SafetyMode
-from omniman_ros.simulation.ur.motion import Motion, MoveJ, ServoJ, Stop, Target
+from omniman_ros.simulation.ur.modes import (
+    MOVING,
+    Cb3RobotMode,
+    Cb3RuntimeState,
+    Cb3SafetyMode,
+    Modes,
+)
+from omniman_ros.simulation.ur.motion import MotionCommand, MoveJ, ServoJ, StopJ, Target
 from omniman_ros.simulation.ur.registers import Registers
 from omniman_ros.simulation.ur.rtde_fields import Value
 from omniman_ros.simulation.ur.safety_checks import SafetyChecks
@@ -51,7 +57,7 @@ class RunningProgram(Protocol):
 
 
 #: Parses the text of a program and starts it on a controller, or raises ScriptError
-Launch = Callable[[str, "Controller"], RunningProgram]
+Launch = Callable[[str, "Cb3Controller"], RunningProgram]
 
 
 @dataclass
@@ -66,7 +72,7 @@ class Counts:
     protective_stops: int = 0
 
 
-class Controller:
+class Cb3Controller:
     """A UR5 with a CB3 controller, without its ports.
 
     Attributes:
@@ -83,8 +89,8 @@ class Controller:
         self.arm, self.is_booting = arm, not arm.is_connected
         self.target = Target(arm.q.copy())  #: Point of the trajectory that the joints follow
         self.target_qdd: Array = np.zeros(JOINTS)  #: Acceleration of the target (6,) [rad/s^2]
-        robot = RobotMode.RUNNING if arm.is_connected else RobotMode.DISCONNECTED
-        self.modes, self.runtime = Modes(robot), RuntimeState.STOPPED
+        robot = Cb3RobotMode.RUNNING if arm.is_connected else Cb3RobotMode.DISCONNECTED
+        self.modes, self.runtime = Modes(robot), Cb3RuntimeState.STOPPED
         self.registers = Registers()  #: Registers shared by programs and RTDE clients
         self.log: deque[str] = deque(maxlen=LOG_LENGTH)  #: Messages of programs, and events
         self.end_reason = ""  #: Why the last program ended; empty while one runs
@@ -97,7 +103,7 @@ class Controller:
         self._now = 0.0
         self._program: RunningProgram | None = None
         self._secondary: list[RunningProgram] = []
-        self._motion: Motion = Stop(UNCOMMANDED_DECELERATION)
+        self._motion: MotionCommand = StopJ(UNCOMMANDED_DECELERATION)
         self._suspended: MoveJ | None = None
         self._commanded = False
         self._resumed = 0.0
@@ -153,13 +159,17 @@ class Controller:
 
     def _ramp(self) -> None:
         """Move the effective slider and speed limit gradually to their set values."""
-        if self.runtime is RuntimeState.RESUMING and self._now - self._resumed >= RESUMING_TIME:
-            self.runtime = RuntimeState.PLAYING
-        paused = self.runtime in (RuntimeState.PAUSING, RuntimeState.PAUSED, RuntimeState.RESUMING)
+        if self.runtime is Cb3RuntimeState.RESUMING and self._now - self._resumed >= RESUMING_TIME:
+            self.runtime = Cb3RuntimeState.PLAYING
+        paused = self.runtime in (
+            Cb3RuntimeState.PAUSING,
+            Cb3RuntimeState.PAUSED,
+            Cb3RuntimeState.RESUMING,
+        )
         self.fraction = _towards(self.fraction, self.slider)
         self.limiter = _towards(self.limiter, 0.0 if paused else 1.0)
-        if self.runtime is RuntimeState.PAUSING and self.limiter == 0.0 and self.arm.still:
-            self.runtime = RuntimeState.PAUSED
+        if self.runtime is Cb3RuntimeState.PAUSING and self.limiter == 0.0 and self.arm.still:
+            self.runtime = Cb3RuntimeState.PAUSED
 
     def _run_programs(self) -> None:
         self._commanded = False
@@ -169,7 +179,7 @@ class Controller:
             secondary.step()
         self._secondary = [secondary for secondary in self._secondary if secondary.running]
         program = self._program
-        if program is None or self.runtime is not RuntimeState.PLAYING:
+        if program is None or self.runtime is not Cb3RuntimeState.PLAYING:
             return
         program.step()
         if self._program is program and not program.running:
@@ -184,8 +194,8 @@ class Controller:
         if self._motion.over and not self._commanded and self.runtime in MOVING:
             if isinstance(self._motion, ServoJ):
                 self.counts.servo_gaps += 1
-            if not isinstance(self._motion, Stop):
-                self._begin(Stop(UNCOMMANDED_DECELERATION))
+            if not isinstance(self._motion, StopJ):
+                self._begin(StopJ(UNCOMMANDED_DECELERATION))
         last_qd = self.target_qd
         self._motion.advance(self.target, CYCLE * self._stretch)
         self.target_qdd = (self.target_qd - last_qd) / CYCLE
@@ -199,7 +209,7 @@ class Controller:
             return
         if violation.is_hindered:
             self.arm.give_way()
-        if self.modes.safety is SafetyMode.NORMAL:
+        if self.modes.safety is Cb3SafetyMode.NORMAL:
             self.protective_stop(violation.reason)
         elif violation.is_hindered:
             self.target = Target(self.arm.reference.q.copy(), self.arm.reference.qd.copy())
@@ -218,7 +228,7 @@ class Controller:
         """Velocity of the target in real time (6,) [rad/s]."""
         return self.target.w * self._stretch
 
-    def _begin(self, motion: Motion) -> None:
+    def _begin(self, motion: MotionCommand) -> None:
         """Begin a motion at the velocity of the last one."""
         real = self.target_qd
         self._motion = motion
@@ -233,7 +243,7 @@ class Controller:
         ahead = reference.q + self._parameters.lag * reference.qd
         self.target = Target(ahead, reference.qd.copy())
         self._suspended = self._motion if isinstance(self._motion, MoveJ) else None
-        self._motion = Stop(self._parameters.protective_deceleration)
+        self._motion = StopJ(self._parameters.protective_deceleration)
 
     # ---- stops, pauses, programs --------------------------------------------------------------
 
@@ -248,7 +258,7 @@ class Controller:
         self._halt()
         self.limiter = 0.0
         if self.runtime in MOVING:
-            self.runtime = RuntimeState.PAUSING
+            self.runtime = Cb3RuntimeState.PAUSING
 
     def start(self, text: str) -> bool:
         """Start a program, which ends a running one; return whether it could be started."""
@@ -270,7 +280,7 @@ class Controller:
         self.counts.programs += 1
         self.end_reason = ""
         self._program = program
-        self.runtime, self.limiter = RuntimeState.PLAYING, 1.0
+        self.runtime, self.limiter = Cb3RuntimeState.PLAYING, 1.0
         return True
 
     def stop(self, reason: str) -> bool:
@@ -281,23 +291,23 @@ class Controller:
         program.stop(reason)
         self.end_reason, self._suspended = program.end_reason, None
         self._log(f"program ended: {self.end_reason}")
-        if self.modes.safety is SafetyMode.NORMAL and not isinstance(self._motion, Stop):
-            self._begin(Stop(END_DECELERATION))
-        self.runtime = RuntimeState.STOPPED
+        if self.modes.safety is Cb3SafetyMode.NORMAL and not isinstance(self._motion, StopJ):
+            self._begin(StopJ(END_DECELERATION))
+        self.runtime = Cb3RuntimeState.STOPPED
         return True
 
     def pause(self) -> bool:
         """Pause the program; return False if none is playing."""
         if self.runtime not in MOVING:
             return False
-        self.runtime = RuntimeState.PAUSING
+        self.runtime = Cb3RuntimeState.PAUSING
         return True
 
     def play(self) -> bool:
         """Resume a paused program; return False if there is none, or the arm must not move."""
-        if self.runtime is not RuntimeState.PAUSED or not self.modes.ready:
+        if self.runtime is not Cb3RuntimeState.PAUSED or not self.modes.ready:
             return False
-        self.runtime, self._resumed = RuntimeState.RESUMING, self._now
+        self.runtime, self._resumed = Cb3RuntimeState.RESUMING, self._now
         self.limiter = 0.0
         if self._suspended is not None:
             # The motion was interrupted, and continues from where the arm is.
@@ -319,7 +329,7 @@ class Controller:
         if self._program is not None:
             self._program.close_popups()
 
-    def power(self, wanted: RobotMode) -> bool:
+    def power(self, wanted: Cb3RobotMode) -> bool:
         """Switch to POWER_OFF, IDLE or RUNNING; return False if that is not possible now.
 
         Switching off ends the program.
@@ -328,18 +338,18 @@ class Controller:
         if modes is None:
             return False
         self.modes = modes
-        if wanted is RobotMode.POWER_OFF:
+        if wanted is Cb3RobotMode.POWER_OFF:
             self._halt()
             self.stop("power off")
         return True
 
     @property
-    def robot_mode(self) -> RobotMode:
+    def robot_mode(self) -> Cb3RobotMode:
         """Mode of the arm."""
         return self.modes.robot
 
     @property
-    def safety_mode(self) -> SafetyMode:
+    def safety_mode(self) -> Cb3SafetyMode:
         """Mode of the safety system."""
         return self.modes.safety
 
@@ -369,11 +379,11 @@ class Controller:
         return self._now - (self._now if self._begin_time is None else self._begin_time)
 
     @property
-    def motion(self) -> Motion:
+    def motion(self) -> MotionCommand:
         """Motion that is being executed."""
         return self._motion
 
-    def command(self, motion: Motion) -> Done:
+    def command(self, motion: MotionCommand) -> Done:
         """Begin a motion; the returned function tells whether it has ended or was replaced."""
         self._begin(motion)
         return lambda: motion.over or motion not in (self._motion, self._suspended)

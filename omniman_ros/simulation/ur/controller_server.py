@@ -9,9 +9,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.arm_link.client import ArmLinkClient
 from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
-from omniman_ros.simulation.ur.controller import Controller, Launch, RunningProgram
-from omniman_ros.simulation.ur.modes import RobotMode
-from omniman_ros.simulation.ur.pace import MAX_WAIT, Pace, RealTime
+from omniman_ros.simulation.ur.controller import Cb3Controller, Launch, RunningProgram
+from omniman_ros.simulation.ur.controller_clock import MAX_WAIT, ControllerClock, MonotonicClock
+from omniman_ros.simulation.ur.modes import Cb3RobotMode
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
@@ -32,7 +32,7 @@ def launcher(network: ProgramSockets) -> Launch:
     it inserts the numbers of its registers.
     """
 
-    def launch(text: str, controller: Controller) -> RunningProgram:
+    def launch(text: str, controller: Cb3Controller) -> RunningProgram:
         return Machine(Text(NEXT_LINE.sub(r"= \1\n", text)), ProgramHost(controller, network))
 
     return launch
@@ -69,17 +69,17 @@ class ControllerServer:
     """
 
     def __init__(
-        self, arm: UrArmParameters, ports: UrPortParameters, pace: Pace | None = None
+        self, arm: UrArmParameters, ports: UrPortParameters, pace: ControllerClock | None = None
     ) -> None:
         self.network = ProgramSockets()  #: Connections of the program
         body = make_arm(arm, is_lockstep=pace is not None)
         #: The controller; other threads may set its `faults` and `slider`, and read the rest
-        self.controller = Controller(arm, body, launcher(self.network))
+        self.controller = Cb3Controller(arm, body, launcher(self.network))
         #: Ports of the controller
         self.ports = ControllerPorts(self.controller, self.network, ports)
         self.late, self.lost, self.done = 0, 0.0, 0.0
         self.measured: MeasuredMotion | None = None
-        self._pace = pace or RealTime()
+        self._pace = pace or MonotonicClock()
         self._has_run = threading.Condition()
         self.error: Exception | None = None  #: Exception that ended the thread, or None
         self._closing, self._power_off = threading.Event(), threading.Event()
@@ -97,7 +97,7 @@ class ControllerServer:
         self.network.admit(due_cycles)
         if self._power_off.is_set():
             self._power_off.clear()
-            self.controller.power(RobotMode.POWER_OFF)
+            self.controller.power(Cb3RobotMode.POWER_OFF)
         self.ports.cycle(now - self.lost)
 
     def _run(self) -> None:

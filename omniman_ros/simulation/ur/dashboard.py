@@ -7,8 +7,8 @@ the replies of a CB3 controller of version 3.15.8 that users have published.
 from collections.abc import Callable
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.simulation.ur.controller import Controller
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState
+from omniman_ros.simulation.ur.controller import Cb3Controller
+from omniman_ros.simulation.ur.modes import Cb3RobotMode, Cb3RuntimeState
 
 GREETING = "Connected: Universal Robots Dashboard Server"  #: First line of the server
 TOO_EARLY_REPLY = (
@@ -22,7 +22,7 @@ MAX_LINE = 4096  #: Length of the longest line that is accepted [bytes]
 class DashboardSession:
     """Session of one client."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Cb3Controller) -> None:
         self.closed = False  #: Whether the client has sent `quit`
         self._controller = controller
         self._unread = b""
@@ -65,14 +65,14 @@ class DashboardSession:
         return "Disconnected"
 
     def _running(self) -> str:
-        running = self._controller.runtime in (RuntimeState.PLAYING, RuntimeState.RESUMING)
+        running = self._controller.runtime in (Cb3RuntimeState.PLAYING, Cb3RuntimeState.RESUMING)
         return f"Program running: {str(running).lower()}"
 
     def _program_state(self) -> str:
         runtime = self._controller.runtime
-        if runtime in (RuntimeState.STOPPED, RuntimeState.STOPPING):
+        if runtime in (Cb3RuntimeState.STOPPED, Cb3RuntimeState.STOPPING):
             return "STOPPED null"
-        return f"{'PAUSED' if runtime is RuntimeState.PAUSED else 'PLAYING'} null"
+        return f"{'PAUSED' if runtime is Cb3RuntimeState.PAUSED else 'PLAYING'} null"
 
     def _robot_mode(self) -> str:
         return f"Robotmode: {self._controller.robot_mode.name}"
@@ -86,7 +86,7 @@ class DashboardSession:
     def _unlock(self) -> str:
         return "Protective stop releasing" if self._controller.unlock() else TOO_EARLY_REPLY
 
-    def _power(self, wanted: RobotMode, reply: str, command: str) -> str:
+    def _power(self, wanted: Cb3RobotMode, reply: str, command: str) -> str:
         return reply if self._controller.power(wanted) else f"Failed to execute: {command}"
 
     def _popup(self, text: str) -> str:
@@ -117,9 +117,9 @@ _PLAIN_COMMANDS: dict[str, Callable[[DashboardSession], str]] = {
     "safetymode": DashboardSession._safety_mode,
     "safetystatus": DashboardSession._safety_status,
     "unlock protective stop": DashboardSession._unlock,
-    "power on": lambda d: d._power(RobotMode.IDLE, "Powering on", "power on"),
-    "power off": lambda d: d._power(RobotMode.POWER_OFF, "Powering off", "power off"),
-    "brake release": lambda d: d._power(RobotMode.RUNNING, "Brake releasing", "brake release"),
+    "power on": lambda d: d._power(Cb3RobotMode.IDLE, "Powering on", "power on"),
+    "power off": lambda d: d._power(Cb3RobotMode.POWER_OFF, "Powering off", "power off"),
+    "brake release": lambda d: d._power(Cb3RobotMode.RUNNING, "Brake releasing", "brake release"),
     "close popup": DashboardSession._close_popup,
     "close safety popup": _always("closing safety popup"),
     "restart safety": _always("Restarting safety"),

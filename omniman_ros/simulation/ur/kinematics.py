@@ -9,7 +9,7 @@ from omniman_ros.core.arrays import Array
 
 
 @dataclass(frozen=True)
-class DhTable:
+class DhParameters:
     """Denavit-Hartenberg parameters, joint by joint: T = Rz(q) Tz(d) Tx(a) Rx(alpha)."""
 
     a: tuple[float, ...]  #: Link lengths [m]
@@ -17,7 +17,7 @@ class DhTable:
     alpha: tuple[float, ...]  #: Link twists [rad]
 
 
-UR5 = DhTable(
+UR5 = DhParameters(
     a=(0.0, -0.425, -0.39225, 0.0, 0.0, 0.0),
     d=(0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823),
     alpha=(math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0),
@@ -27,7 +27,7 @@ GRAVITY = 9.82  #: Gravity [m/s^2]
 ELBOW = 2  #: Number of the frame at the elbow joint
 
 
-def frames(q: Array, table: DhTable = UR5) -> list[Array]:
+def frames(q: Array, table: DhParameters = UR5) -> list[Array]:
     """Return the frames of base, links and tool flange in the base: seven 4 x 4 matrices."""
     transforms = [np.eye(4)]
     for angle, a, d, alpha in zip(q.tolist(), table.a, table.d, table.alpha, strict=True):
@@ -44,7 +44,7 @@ def frames(q: Array, table: DhTable = UR5) -> list[Array]:
     return transforms
 
 
-def pose(q: Array, table: DhTable = UR5) -> Array:
+def pose(q: Array, table: DhParameters = UR5) -> Array:
     """Return the tool flange in the base: x, y, z [m] and rotation vector [rad], shape (6,)."""
     end = frames(q, table)[-1]
     return np.concatenate((end[:3, 3], rotation_vector(end[:3, :3])))

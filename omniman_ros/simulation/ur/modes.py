@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 
 
-class RobotMode(IntEnum):
+class Cb3RobotMode(IntEnum):
     """State of the arm's power and brakes."""
 
     NO_CONTROLLER = -1
@@ -24,7 +24,7 @@ class RobotMode(IntEnum):
     RUNNING = 7
 
 
-class SafetyMode(IntEnum):
+class Cb3SafetyMode(IntEnum):
     """State of the safety system, which lets the arm move or not."""
 
     NORMAL = 1
@@ -38,7 +38,7 @@ class SafetyMode(IntEnum):
     FAULT = 9
 
 
-class RuntimeState(IntEnum):
+class Cb3RuntimeState(IntEnum):
     """State of the program."""
 
     STOPPING = 0
@@ -52,14 +52,14 @@ class RuntimeState(IntEnum):
 #: safety_status_bits: 0 normal, 2 protective stopped, 5 system and 6 robot emergency stopped, 7
 #: emergency stopped, 10 stopped due to safety.
 SAFETY_BITS = {
-    SafetyMode.NORMAL: 1 << 0,
-    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
-    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
-    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
+    Cb3SafetyMode.NORMAL: 1 << 0,
+    Cb3SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
+    Cb3SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
+    Cb3SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
 }
 #: Modes in which the joints have power
-POWERED = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING)
-MOVING = (RuntimeState.PLAYING, RuntimeState.RESUMING)  #: States in which the program runs
+POWERED = (Cb3RobotMode.POWER_ON, Cb3RobotMode.IDLE, Cb3RobotMode.BACKDRIVE, Cb3RobotMode.RUNNING)
+MOVING = (Cb3RuntimeState.PLAYING, Cb3RuntimeState.RESUMING)  #: States in which the program runs
 JOINT_RUNNING = 253  #: joint_mode of a joint that runs (RTDE guide, "Joint modes")
 JOINT_IDLE = 255  #: joint_mode of a joint with its brake on
 JOINT_POWER_OFF = 239  #: joint_mode of a joint without power
@@ -72,16 +72,16 @@ SWITCHING_TIME = 0.5  #: Time of each step of switching power and brakes [s]; lo
 class Modes:
     """All modes together."""
 
-    robot: RobotMode = RobotMode.RUNNING  #: Mode of the arm
-    safety: SafetyMode = SafetyMode.NORMAL  #: Mode of the safety system
-    wanted: RobotMode = RobotMode.RUNNING  #: Mode to which the arm is being switched
+    robot: Cb3RobotMode = Cb3RobotMode.RUNNING  #: Mode of the arm
+    safety: Cb3SafetyMode = Cb3SafetyMode.NORMAL  #: Mode of the safety system
+    wanted: Cb3RobotMode = Cb3RobotMode.RUNNING  #: Mode to which the arm is being switched
     due: float = 0.0  #: Time at which the next step of switching is complete [s]
     stopped: float = 0.0  #: Time of the last protective stop [s]
 
     @property
     def ready(self) -> bool:
         """Whether a program may move the arm."""
-        return self.robot is RobotMode.RUNNING and self.safety is SafetyMode.NORMAL
+        return self.robot is Cb3RobotMode.RUNNING and self.safety is Cb3SafetyMode.NORMAL
 
     @property
     def powered(self) -> bool:
@@ -91,7 +91,7 @@ class Modes:
     @property
     def braked(self) -> bool:
         """Whether the brakes hold the joints."""
-        return self.robot is not RobotMode.RUNNING
+        return self.robot is not Cb3RobotMode.RUNNING
 
     @property
     def safety_bits(self) -> int:
@@ -103,62 +103,62 @@ class Modes:
         """Value of joint_mode, the same for each joint."""
         if not self.powered:
             return JOINT_POWER_OFF
-        return JOINT_RUNNING if self.robot is RobotMode.RUNNING else JOINT_IDLE
+        return JOINT_RUNNING if self.robot is Cb3RobotMode.RUNNING else JOINT_IDLE
 
     def with_arm(self, is_connected: bool) -> "Modes":
         """Return the modes after the joints began to answer, or ceased to.
 
         Joints that were lost are without power when they answer again.
         """
-        if is_connected is (self.robot is not RobotMode.DISCONNECTED):
+        if is_connected is (self.robot is not Cb3RobotMode.DISCONNECTED):
             return self
         if is_connected:
             return replace(self, robot=self.wanted)
-        return replace(self, robot=RobotMode.DISCONNECTED, wanted=RobotMode.POWER_OFF)
+        return replace(self, robot=Cb3RobotMode.DISCONNECTED, wanted=Cb3RobotMode.POWER_OFF)
 
     def protective_stop(self, now: float) -> "Modes":
         """Return the modes after a protective stop at time `now` [s]; emergency stops prevail."""
-        if self.safety is not SafetyMode.NORMAL or not self.powered:
+        if self.safety is not Cb3SafetyMode.NORMAL or not self.powered:
             return self
-        return replace(self, safety=SafetyMode.PROTECTIVE_STOP, stopped=now)
+        return replace(self, safety=Cb3SafetyMode.PROTECTIVE_STOP, stopped=now)
 
     def unlock(self, now: float) -> "Modes | None":
         """Return the modes after unlocking; None within 5 s of the stop, or without one."""
-        if self.safety is not SafetyMode.PROTECTIVE_STOP or now - self.stopped < UNLOCK_DELAY:
+        if self.safety is not Cb3SafetyMode.PROTECTIVE_STOP or now - self.stopped < UNLOCK_DELAY:
             return None
-        return replace(self, safety=SafetyMode.NORMAL)
+        return replace(self, safety=Cb3SafetyMode.NORMAL)
 
     def emergency_stop(self, pressed: bool) -> "Modes":
         """Return the modes after the button is pressed or released; the power stays off."""
         if pressed:
             return replace(
-                self, safety=SafetyMode.ROBOT_EMERGENCY_STOP, wanted=RobotMode.POWER_OFF
+                self, safety=Cb3SafetyMode.ROBOT_EMERGENCY_STOP, wanted=Cb3RobotMode.POWER_OFF
             )
-        if self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
-            return replace(self, safety=SafetyMode.NORMAL)
+        if self.safety is Cb3SafetyMode.ROBOT_EMERGENCY_STOP:
+            return replace(self, safety=Cb3SafetyMode.NORMAL)
         return self
 
-    def power(self, wanted: RobotMode, now: float) -> "Modes | None":
+    def power(self, wanted: Cb3RobotMode, now: float) -> "Modes | None":
         """Begin to switch to a mode; None without an arm, or if the emergency stop forbids it."""
-        if self.robot is RobotMode.DISCONNECTED:
+        if self.robot is Cb3RobotMode.DISCONNECTED:
             return None
-        if wanted in POWERED and self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
+        if wanted in POWERED and self.safety is Cb3SafetyMode.ROBOT_EMERGENCY_STOP:
             return None
-        if wanted is RobotMode.IDLE and self.robot is RobotMode.RUNNING:
+        if wanted is Cb3RobotMode.IDLE and self.robot is Cb3RobotMode.RUNNING:
             return self
         return replace(self, wanted=wanted, due=now + SWITCHING_TIME)
 
     def advance(self, now: float, at_rest: bool) -> "Modes":
         """Return the modes at time `now` [s]; power goes off only with the arm at rest."""
-        if self.robot in (self.wanted, RobotMode.DISCONNECTED):
+        if self.robot in (self.wanted, Cb3RobotMode.DISCONNECTED):
             return self
-        if self.wanted is RobotMode.POWER_OFF:
-            return replace(self, robot=RobotMode.POWER_OFF) if at_rest else self
+        if self.wanted is Cb3RobotMode.POWER_OFF:
+            return replace(self, robot=Cb3RobotMode.POWER_OFF) if at_rest else self
         if now < self.due:
             return self
         following = {
-            RobotMode.POWER_OFF: RobotMode.POWER_ON,
-            RobotMode.POWER_ON: RobotMode.IDLE,
-            RobotMode.IDLE: RobotMode.RUNNING,
+            Cb3RobotMode.POWER_OFF: Cb3RobotMode.POWER_ON,
+            Cb3RobotMode.POWER_ON: Cb3RobotMode.IDLE,
+            Cb3RobotMode.IDLE: Cb3RobotMode.RUNNING,
         }
         return replace(self, robot=following[self.robot], due=now + SWITCHING_TIME)

@@ -26,7 +26,7 @@ class Target:
     w: Array = field(default_factory=lambda: np.zeros(JOINTS))
 
 
-class Motion(Protocol):
+class MotionCommand(Protocol):
     """Motion command."""
 
     stretched: bool  #: Whether the speed slider stretches the time of the command
@@ -44,7 +44,7 @@ def _shift(target: Target, w: Array, dt: float) -> None:
     target.q = target.q + w * dt
 
 
-class Stop:
+class StopJ:
     """Come to rest: the fastest joint decelerates with `a` [rad/s^2], the others in proportion."""
 
     stretched = False
@@ -158,7 +158,7 @@ class MoveJ:
         distance = float(np.max(np.abs(change)))
         if self._speed is None:
             if np.max(np.abs(target.w)) > REST_SPEED:
-                Stop(self._a).advance(target, dt)
+                StopJ(self._a).advance(target, dt)
                 return
             self._speed = 0.0
             if self._t > 0.0 and distance > 0.0:

@@ -1,9 +1,9 @@
 """Clients of the controller's ports, without their sockets."""
 
 from omniman_ros.simulation.ur import kinematics, script_protocol
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.dashboard import GREETING, DashboardSession
-from omniman_ros.simulation.ur.modes import MOVING, RuntimeState
+from omniman_ros.simulation.ur.modes import MOVING, Cb3RuntimeState
 from omniman_ros.simulation.ur.rtde_outputs import currents
 from omniman_ros.simulation.ur.rtde_server import URCONTROL, RtdeFaults, RtdeServerSession
 
@@ -75,7 +75,7 @@ class PackageQueue:
 class RtdeClient(PortClient):
     """Client of RTDE; one that does not read is disconnected."""
 
-    def __init__(self, controller: Controller, owners: dict[str, RtdeServerSession]) -> None:
+    def __init__(self, controller: Cb3Controller, owners: dict[str, RtdeServerSession]) -> None:
         self._controller = controller
         self._session = RtdeServerSession(controller, owners)
         self._queue = PackageQueue()
@@ -105,7 +105,7 @@ class ScriptClient(PortClient):
 
     patient = True
 
-    def __init__(self, controller: Controller, sends_state: bool) -> None:
+    def __init__(self, controller: Cb3Controller, sends_state: bool) -> None:
         self._controller, self._sends_state = controller, sends_state
         self._reader = script_protocol.ProgramReader()
         self._cycles = 0
@@ -131,7 +131,7 @@ class ScriptClient(PortClient):
 class DashboardClient(PortClient):
     """Client of the dashboard."""
 
-    def __init__(self, controller: Controller) -> None:
+    def __init__(self, controller: Cb3Controller) -> None:
         self._dashboard = DashboardSession(controller)
 
     @property
@@ -148,7 +148,7 @@ class DashboardClient(PortClient):
         return self._dashboard.receive(data)
 
 
-def state_of(c: Controller) -> script_protocol.RobotState:
+def state_of(c: Cb3Controller) -> script_protocol.RobotState:
     """Return the content of the robot state message of a controller."""
     return script_protocol.RobotState(
         time=c.time,
@@ -156,7 +156,7 @@ def state_of(c: Controller) -> script_protocol.RobotState:
         emergency_stopped=c.modes.safety_bits >> 7 & 1 == 1,
         protective_stopped=c.modes.safety_bits >> 2 & 1 == 1,
         playing=c.runtime in MOVING,
-        paused=c.runtime is RuntimeState.PAUSED,
+        paused=c.runtime is Cb3RuntimeState.PAUSED,
         robot_mode=int(c.modes.robot),
         slider=c.slider,
         scaling=c.pace,

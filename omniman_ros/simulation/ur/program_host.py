@@ -7,8 +7,8 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import rtde_outputs
 from omniman_ros.simulation.ur.arm import CYCLE, JOINTS
-from omniman_ros.simulation.ur.controller import Controller
-from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, Stop
+from omniman_ros.simulation.ur.controller import Cb3Controller
+from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, StopJ
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Done, Joints
@@ -17,7 +17,7 @@ from omniman_ros.simulation.ur.urscript.host import Done, Joints
 class ProgramHost:
     """Implements the `Host` of one program by the controller and its sockets."""
 
-    def __init__(self, controller: Controller, network: ProgramSockets) -> None:
+    def __init__(self, controller: Cb3Controller, network: ProgramSockets) -> None:
         self._controller, self._network = controller, network
         self._last_servo: Joints = ()
 
@@ -47,7 +47,7 @@ class ProgramHost:
 
     def stopj(self, a: float) -> Done:
         """Decelerate to rest with a [rad/s^2]."""
-        return self._controller.command(Stop(_positive(a)))
+        return self._controller.command(StopJ(_positive(a)))
 
     def movej(self, q: Joints, a: float, v: float, t: float, r: float) -> Done:
         """Move to joint angles [rad] and come to rest there; blends are not simulated."""

@@ -46,8 +46,8 @@ class ProgramSockets:
         if due_cycles > 1:
             for name, connection in self._open.items():
                 # At least one byte, because only reading shows the end of a connection.
-                share = math.ceil(_available(connection) / due_cycles)
-                self._allowances[name] = max(share, 1)
+                fraction = math.ceil(_available(connection) / due_cycles)
+                self._allowances[name] = max(fraction, 1)
 
     def open(self, host: str, port: int, name: str) -> bool:
         """Connect within 20 ms; return whether that succeeded."""

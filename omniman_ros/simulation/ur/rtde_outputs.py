@@ -9,7 +9,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import kinematics
 from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.dynamics import TORQUE_CONSTANTS, motor_torque
-from omniman_ros.simulation.ur.modes import MOVING, Modes, RuntimeState
+from omniman_ros.simulation.ur.modes import MOVING, Cb3RuntimeState, Modes
 from omniman_ros.simulation.ur.motion import Target
 from omniman_ros.simulation.ur.registers import Registers
 from omniman_ros.simulation.ur.rtde_fields import OUTPUTS, Value, size
@@ -19,14 +19,14 @@ TEMPERATURE = 30.0  #: Temperature of joints and tool [deg C]
 TOOL_MODE = 253  #: tool_mode of a tool that runs
 
 
-class State(Protocol):
+class ControllerState(Protocol):
     """State of the controller that the outputs report; see `Controller`."""
 
     arm: ArmBody
     target: Target
     target_qdd: Array
     modes: Modes
-    runtime: RuntimeState
+    runtime: Cb3RuntimeState
     registers: Registers
     fraction: float
     limiter: float
@@ -48,29 +48,29 @@ def _six(value: float) -> tuple[float, ...]:
     return (value,) * 6
 
 
-def status_bits(c: State) -> int:
+def status_bits(c: ControllerState) -> int:
     """Return robot_status_bits: bit 0 power on, bit 1 program running."""
     return c.modes.powered << 0 | (c.runtime in MOVING) << 1
 
 
-def currents(c: State) -> Array:
+def currents(c: ControllerState) -> Array:
     """Return the motor currents (6,) [A]; zero without power."""
     torque = motor_torque(c.arm.torque, c.arm.qd)
     return np.asarray(torque / TORQUE_CONSTANTS * c.modes.powered)
 
 
-def target_currents(c: State) -> Array:
+def target_currents(c: ControllerState) -> Array:
     """Return the motor currents (6,) that the target motion requires [A]; zero without power."""
     joint_torque = c.arm.dynamics.torque(c.target.q, c.target_qd, c.target_qdd)
     torque = motor_torque(joint_torque, c.target_qd)
     return np.asarray(torque / TORQUE_CONSTANTS * c.modes.powered)
 
 
-def _elbow(c: State) -> Array:
+def _elbow(c: ControllerState) -> Array:
     return kinematics.frames(c.arm.q)[kinematics.ELBOW][:3, 3]
 
 
-_READ: dict[str, Callable[[State], Value]] = {
+_READ: dict[str, Callable[[ControllerState], Value]] = {
     "timestamp": lambda c: c.timestamp,
     "target_q": lambda c: _vector(c.target.q),
     "target_qd": lambda c: _vector(c.target_qd),
@@ -112,7 +112,7 @@ _READ: dict[str, Callable[[State], Value]] = {
 }  #: Functions of the outputs that are not constantly zero, unlike forces and analog inputs
 
 
-def value(controller: State, name: str) -> Value:
+def value(controller: ControllerState, name: str) -> Value:
     """Return the present value of an RTDE output, a key of `rtde_fields.OUTPUTS`."""
     read = _READ.get(name)
     if read is not None:

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.rtde_fields import INPUTS, OUTPUTS, codec, flatten, regroup
 
 HEADER = struct.Struct(">HB")  #: Header of a package: size of all of it [bytes], and type
@@ -64,7 +64,7 @@ class RtdeServerSession:
         owners: Session that writes each input; shared by all sessions.
     """
 
-    def __init__(self, controller: Controller, owners: "dict[str, RtdeServerSession]") -> None:
+    def __init__(self, controller: Cb3Controller, owners: "dict[str, RtdeServerSession]") -> None:
         self.faults = RtdeFaults()  #: Faults of the server; may be replaced at any time
         self.started = False  #: Whether the client has started the exchange of data
         self._controller, self._owners = controller, owners

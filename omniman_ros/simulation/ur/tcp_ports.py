@@ -4,7 +4,7 @@ import socket
 from collections.abc import Callable
 
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.port_clients import (
     DashboardClient,
     PortClient,
@@ -143,7 +143,7 @@ class ControllerPorts:
     """All ports of a controller; a ParameterError names one that is not available."""
 
     def __init__(
-        self, controller: Controller, network: ProgramSockets, parameters: UrPortParameters
+        self, controller: Cb3Controller, network: ProgramSockets, parameters: UrPortParameters
     ) -> None:
         self._controller, self._network = controller, network
         self._last_faults = controller.faults

@@ -35,7 +35,7 @@ def outline(points: Array, radius: float = 0.0) -> Array:
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class AvoidedNeighbours:
     """What a person keeps clear of."""
 
     outlines: Array  #: Support functions in the world, (m, d) [m]
@@ -43,12 +43,12 @@ class Surroundings:
     wishes: Array  #: Velocities that they would have if they had not to give way, (m, 2) [m/s]
     reaches: Array  #: Least distances of the person's middle to each, (m,) [m]
     horizons: Array  #: How far ahead each is minded, (m,) [s]
-    shares: Array  #: Share of the avoidance, (m,): 1, or 1/2 where the other does the same
+    fractions: Array  #: Fraction of the avoidance, (m,): 1, or 1/2 where the other does the same
     fixed: int  #: Number of the first of them that are fixed
 
 
 def half_planes(
-    position: Array, velocity: Array, wish: Array, around: Surroundings
+    position: Array, velocity: Array, wish: Array, around: AvoidedNeighbours
 ) -> list[HalfPlane]:
     """Return the velocities that keep a person clear of each of m things.
 
@@ -70,8 +70,8 @@ def half_planes(
     margins[heights > 0.0] = -math.inf
     best = np.where(is_apart, margins.argmax(axis=1), nearest)
     normals = DIRECTIONS[best]
-    # With a share of one, the person's own velocity drops out.
+    # With a fraction of one, the person's own velocity drops out.
     along = normals @ velocity
     change = rates[rows, best] + (normals * around.velocities).sum(axis=1) - along
-    least = along + around.shares * change
+    least = along + around.fractions * change
     return [(nx, ny, c) for (nx, ny), c in zip(normals.tolist(), least.tolist(), strict=True)]

@@ -18,20 +18,20 @@ class RobotContact:
     """A contact of a part of the robot with something else; not of a wheel with the floor."""
 
     part: str  #: Link of the robot
-    thing: str  #: Element of the scene, or the floor
-    place: Array  #: Where they touch, or last touched, in the world [m], (3,)
+    element: str  #: Element of the scene, or the floor
+    position: Array  #: Where they touch, or last touched, in the world [m], (3,)
     force: Array  #: Force on the robot in the world, low-pass filtered [N], (3,)
     impulse: Array  #: Integral of the force, unfiltered, since the contact began [N s], (3,)
     touches: bool  #: Whether they touch now
     part_speed: float  #: Speed of the part's point when it first touched [m/s]
-    thing_speed: float  #: Speed of the other's point [m/s]
+    element_speed: float  #: Speed of the other's point [m/s]
 
 
 @dataclass
 class _Contact:
-    place: Array
+    position: Array
     part_speed: float
-    thing_speed: float
+    element_speed: float
     force: Array = field(default_factory=lambda: np.zeros(3))
     now: Array = field(default_factory=lambda: np.zeros(3))
     impulse: Array = field(default_factory=lambda: np.zeros(3))
@@ -75,7 +75,7 @@ class RobotContacts:
         row = rows[k]
         if self._is_robot[first] == self._is_robot[second] or row < 0:
             return
-        place, axes = self._engine.contact_frame(k)
+        position, axes = self._engine.contact_frame(k)
         on_second = axes.T @ self._engine.forces[row : row + 3]
         own, other, force = first, second, -on_second
         if self._is_robot[second]:
@@ -83,10 +83,10 @@ class RobotContacts:
         key = self._parties[own], self._parties[other]
         contact = self._contacts.get(key)
         if contact is None:
-            speeds = [np.linalg.norm(self._engine.velocity(k, place)) for k in (own, other)]
-            contact = _Contact(place.copy(), float(speeds[0]), float(speeds[1]))
+            speeds = [np.linalg.norm(self._engine.velocity(k, position)) for k in (own, other)]
+            contact = _Contact(position.copy(), float(speeds[0]), float(speeds[1]))
             self._contacts[key] = contact
-        contact.place, contact.now, contact.age = place.copy(), contact.now + force, 0.0
+        contact.position, contact.now, contact.age = position.copy(), contact.now + force, 0.0
 
     def _filter(self) -> None:
         step = self._engine.step_time
@@ -102,13 +102,13 @@ class RobotContacts:
         return tuple(
             RobotContact(
                 part,
-                thing,
-                contact.place,
+                element,
+                contact.position,
                 contact.force,
                 contact.impulse,
                 contact.age == 0.0,
                 contact.part_speed,
-                contact.thing_speed,
+                contact.element_speed,
             )
-            for (part, thing), contact in self._contacts.items()
+            for (part, element), contact in self._contacts.items()
         )

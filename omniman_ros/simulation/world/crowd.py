@@ -5,7 +5,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.avoidance import half_planes
 from omniman_ros.simulation.world.engine import Engine
-from omniman_ros.simulation.world.model.things import person_joints
+from omniman_ros.simulation.world.model.elements import person_joints
 from omniman_ros.simulation.world.scene import REACTIVE, Scene
 from omniman_ros.simulation.world.surroundings import Neighbourhood
 from omniman_ros.simulation.world.velocity_program import nearest_velocity

@@ -27,7 +27,7 @@ class Prism:
     heights: tuple[float, float]  #: Heights of its lower and its upper side [m]
 
 
-class PostureDistances:
+class ConfigurationDistances:
     """Distances between the shapes of a robot's URDF and prisms, each placed at will.
 
     The platform is the box of the body's length and width from the floor to the deck's top, too. A

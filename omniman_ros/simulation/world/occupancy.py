@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.world.scene import Scene
-from omniman_ros.simulation.world.solids import Box, EllipticPrism, Solid, fixed_solids
+from omniman_ros.simulation.world.solids import EllipticPrism, Solid, UprightBox, fixed_solids
 
 MAX_CELLS = 4_000_000  #: Largest number of cells of a grid
 MARGIN = 1.0  #: Free space around the elements and the robot's start [m]
@@ -64,9 +64,9 @@ def occupancy(scene: Scene, resolution: float = 0.05, height: float = 0.5) -> Oc
 
 
 def _bounds(solid: Solid) -> list[float]:
-    """Return the smallest x and y of a solid, then the largest [m]."""
+    """Return the smallest x and y of an obstacle, then the largest [m]."""
     x, y, _ = solid.centre
-    if isinstance(solid, Box):
+    if isinstance(solid, UprightBox):
         c, s = abs(math.cos(solid.yaw)), abs(math.sin(solid.yaw))
         dx = 0.5 * (c * solid.size[0] + s * solid.size[1])
         dy = 0.5 * (s * solid.size[0] + c * solid.size[1])
@@ -79,7 +79,7 @@ def _bounds(solid: Solid) -> list[float]:
 
 def _touches(solid: Solid, x: Array, y: Array, half: float) -> NDArray[np.bool_]:
     dx, dy = x - solid.centre[0], y - solid.centre[1]
-    if isinstance(solid, Box):
+    if isinstance(solid, UprightBox):
         c, s = math.cos(solid.yaw), math.sin(solid.yaw)
         along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
         reach = half * (abs(c) + abs(s))

@@ -14,7 +14,7 @@ Vector = tuple[float, float, float]  #: Position (x, y, z) in the world, or edge
 
 
 @dataclass(frozen=True)
-class Box:
+class UprightBox:
     """An upright box."""
 
     centre: Vector  #: Centre in the world [m]
@@ -51,7 +51,7 @@ class EllipticPrism:
         return ellipse_corners(self.semi_axes, self.yaw)
 
 
-Solid = Box | Cylinder | EllipticPrism  #: Convex part of an element
+Solid = UprightBox | Cylinder | EllipticPrism  #: Convex part of an element
 
 
 def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:
@@ -67,7 +67,7 @@ def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:
 
 
 def footprint(solid: Solid) -> tuple[Array, float]:
-    """Return points (k, 2) and a radius: on the floor, a solid is their hull, grown by it [m]."""
+    """Return points (k, 2) and a radius: an obstacle on the floor is their hull grown by it [m]."""
     centre = np.array([solid.centre[:2]])
     if isinstance(solid, Cylinder):
         return centre, solid.radius
@@ -79,13 +79,13 @@ def footprint(solid: Solid) -> tuple[Array, float]:
 
 
 def fixed_solids(scene: Scene) -> Iterator[tuple[str, tuple[Solid, ...]]]:
-    """Yield the name of each fixed element of a scene, and the solids it consists of."""
+    """Yield the name of each fixed element of a scene, and the obstacles it consists of."""
     yield from plain_solids(scene)
     for column in scene.columns:
         yield column.name, (column_solid(column),)
 
 
-def plain_solids(scene: Scene) -> Iterator[tuple[str, tuple[Box | Cylinder, ...]]]:
+def plain_solids(scene: Scene) -> Iterator[tuple[str, tuple[UprightBox | Cylinder, ...]]]:
     """Yield the fixed elements of a scene that consist of boxes and cylinders, as above."""
     for wall in scene.walls:
         yield wall.name, wall_solids(wall)
@@ -97,7 +97,7 @@ def plain_solids(scene: Scene) -> Iterator[tuple[str, tuple[Box | Cylinder, ...]
         yield pallet.name, (pallet_solid(pallet),)
 
 
-def wall_solids(wall: Wall) -> tuple[Box, ...]:
+def wall_solids(wall: Wall) -> tuple[UprightBox, ...]:
     """Return the pieces of a wall between corners and doors; they overlap at the corners."""
     pieces = []
     half = 0.5 * wall.thickness
@@ -113,7 +113,7 @@ def wall_solids(wall: Wall) -> tuple[Box, ...]:
                 middle = 0.5 * (at + end)
                 centre = x0 + middle * math.cos(yaw), y0 + middle * math.sin(yaw)
                 size = (end - at, wall.thickness, wall.height)
-                pieces.append(Box((*centre, 0.5 * wall.height), size, yaw))
+                pieces.append(UprightBox((*centre, 0.5 * wall.height), size, yaw))
             at = max(at, right)
         begin += length
     return tuple(pieces)
@@ -131,10 +131,10 @@ def column_solid(column: Column) -> EllipticPrism:
     return EllipticPrism(centre, semi_axes, column.yaw, column.height)
 
 
-def table_solids(table: Table) -> tuple[Box, ...]:
+def table_solids(table: Table) -> tuple[UprightBox, ...]:
     """Return the top of a table, and its legs."""
     bottom = table.height - table.thickness
-    top = Box(
+    top = UprightBox(
         (table.x, table.y, bottom + 0.5 * table.thickness),
         (table.length, table.width, table.thickness),
         table.yaw,
@@ -146,14 +146,14 @@ def table_solids(table: Table) -> tuple[Box, ...]:
             x = i * 0.5 * (table.length - table.leg)
             y = j * 0.5 * (table.width - table.leg)
             centre = (table.x + c * x - s * y, table.y + s * x + c * y, 0.5 * bottom)
-            legs.append(Box(centre, (table.leg, table.leg, bottom), table.yaw))
+            legs.append(UprightBox(centre, (table.leg, table.leg, bottom), table.yaw))
     return (top, *legs)
 
 
-def pallet_solid(pallet: Pallet) -> Box:
+def pallet_solid(pallet: Pallet) -> UprightBox:
     """Return the box of a pallet."""
     centre = (pallet.x, pallet.y, 0.5 * pallet.height)
-    return Box(centre, (pallet.length, pallet.width, pallet.height), pallet.yaw)
+    return UprightBox(centre, (pallet.length, pallet.width, pallet.height), pallet.yaw)
 
 
 def prism_corners(outline: Array, heights: tuple[float, float]) -> Array:

@@ -6,7 +6,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.avoidance import (
     DIRECTION_COUNT,
     DIRECTIONS,
-    Surroundings,
+    AvoidedNeighbours,
     outline,
 )
 from omniman_ros.simulation.world.engine import Engine
@@ -63,7 +63,7 @@ class Neighbourhood:
         self._wishes = np.concatenate([wishes, speeds])
         self._positions = positions
 
-    def around(self, k: int) -> Surroundings:
+    def around(self, k: int) -> AvoidedNeighbours:
         """Return what person `k` keeps clear of, as of the latest :meth:`update`."""
         person = self._persons[k]
         distances = np.linalg.norm(self._centres - self._positions[k], axis=1) - self._sizes
@@ -72,7 +72,7 @@ class Neighbourhood:
         fixed = int(is_near.sum())
         moving = len(self._moving) - 1
         rest = np.zeros((fixed, 2))
-        return Surroundings(
+        return AvoidedNeighbours(
             outlines=np.concatenate([self._fixed[is_near], self._moving[others]]),
             velocities=np.concatenate([rest, self._velocities[others]]),
             wishes=np.concatenate([rest, self._wishes[others]]),
@@ -84,6 +84,6 @@ class Neighbourhood:
                 ]
             ),
             horizons=np.repeat([FIXED_HORIZON, HORIZON], [fixed, moving]),
-            shares=np.concatenate([np.ones(fixed), self._shares[others]]),
+            fractions=np.concatenate([np.ones(fixed), self._shares[others]]),
             fixed=fixed,
         )

@@ -40,7 +40,7 @@ class Obstacle:
 
 
 class World:
-    """A robot in a scene; a :class:`~omniman_ros.simulation.plant.body.Body` for the drives.
+    """A robot in a scene: a :class:`~omniman_ros.simulation.plant.body.WheeledBody` to the drives.
 
     The engine moves bodies by rigid-body mechanics with contacts. Motors and gears are those of
     the plant. Nothing here reads a clock: the same calls give the same numbers to the last bit.
@@ -79,10 +79,10 @@ class World:
         if self.arm is not None:
             self.arm.place(parameters.posture)
         self._base.put(scene.start)
-        depth, thing = self._contacts.deepest()
+        depth, element = self._contacts.deepest()
         if depth > MAX_DEPTH:
             raise ParameterError(
-                "start", scene.start, f"puts the robot {depth:.2f} m into {thing}"
+                "start", scene.start, f"puts the robot {depth:.2f} m into {element}"
             )
         self._external = self._turnover = 0.0
         self._steps = 0
@@ -117,10 +117,12 @@ class World:
         """
         before = self.pose
         self._base.put(pose)
-        depth, thing = self._contacts.deepest()
+        depth, element = self._contacts.deepest()
         if depth > MAX_DEPTH:
             self._base.put(before)
-            raise InputError(f"the robot cannot stand there: it would be {depth:.2f} m in {thing}")
+            raise InputError(
+                f"the robot cannot stand there: it would be {depth:.2f} m in {element}"
+            )
 
     # measurements
 

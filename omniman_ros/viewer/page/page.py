@@ -17,7 +17,7 @@ from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.page.panel import Controls, StatusPanel
 from omniman_ros.viewer.page.plots import Plots
 from omniman_ros.viewer.page.request_guard import RequestGuard
-from omniman_ros.viewer.page.scene import Scene
+from omniman_ros.viewer.page.scene import PageScene
 from omniman_ros.viewer.page.viser_compat import LocalServer, guarded_server, restrict_to_values
 from omniman_ros.viewer.page_access import PageAccess
 from omniman_ros.viewer.style import PANEL_WIDTH
@@ -90,7 +90,7 @@ class Page:
         self._server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="medium"
         )
-        self._scene = Scene(self._server, robot, mount, post)
+        self._scene = PageScene(self._server, robot, mount, post)
         self._controls = Controls(self._server, limits, self._scene.clicks, post)
         self._plots = Plots(self._server, robot.wheels.names, constraints, robot.motor.max_voltage)
         self._status = StatusPanel(self._server, self._plots.panel)

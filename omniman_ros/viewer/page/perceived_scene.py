@@ -52,7 +52,7 @@ class PerceivedScene:
             line.draw(np.concatenate((flat, heights), axis=2))
 
     def _draw_contacts(self, contacts: list[Contact]) -> None:
-        places = np.array([contact.place for contact in contacts]).reshape(-1, 3)
+        places = np.array([contact.position for contact in contacts]).reshape(-1, 3)
         self._contacts.draw(
             places, _upright(len(places)), np.full((len(places), 3), CONTACT_RADIUS), None
         )

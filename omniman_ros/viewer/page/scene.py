@@ -26,7 +26,7 @@ from omniman_ros.viewer.view_state import ViewState
 ROOT = "/world"
 
 
-class Scene:
+class PageScene:
     """Draws the floor, the lines, the robot, its ghost and the draggable markers."""
 
     def __init__(

@@ -210,7 +210,7 @@ def panel_height_css(button: viser.GuiButtonHandle, height: int) -> str:
 def last_panel_css(above: viser.GuiButtonHandle) -> str:
     """Return CSS that gives the last panel the rest of the height, below the panel of a button.
 
-    viser would give it a share of the height that its neighbour had.
+    viser would give it a fraction of the height that its neighbour had.
     """
     return f"{_panel(above)}~div:last-child{{flex:1 1 0!important}}"
 

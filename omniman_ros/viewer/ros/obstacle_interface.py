@@ -14,7 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.planning.cases import Case, TwoVelocityPath
+from omniman_ros.planning.cases import PlanningCase, TwoVelocityPath
 from omniman_ros.viewer.events import (
     ObstacleDeleted,
     ObstacleDragged,
@@ -40,7 +40,7 @@ LATERAL_OFFSETS = tuple((k + 1) // 2 * (0.3 if k % 2 else -0.3) for k in range(6
 _COLOUR = ColorRGBA(r=0.61, g=0.21, b=0.09, a=0.8)
 
 
-class ObstacleInterface:
+class ObstaclePublisher:
     """Publishes the obstacles that the page has placed on `obstacles`.
 
     The changes by the page raise the errors of `PlacedObstacles`.
@@ -104,12 +104,12 @@ class ObstacleInterface:
         path = TwoVelocityPath((float(position[0]), float(position[1])))
         self._state.selected_obstacle = self.obstacles.add(path, now)
 
-    def load(self, case: Case, now: float) -> None:
+    def load(self, case: PlanningCase, now: float) -> None:
         """Replace all obstacles by those of a test case, paused."""
         self.obstacles.delete(None)
         self.obstacles.restart(now)
         self.obstacles.pause(now)
-        for path in case.ways:
+        for path in case.paths:
             self.obstacles.add(path, now, (case.radius, case.radius))
         self._state.selected_obstacle = None
 

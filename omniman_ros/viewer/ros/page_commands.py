@@ -5,7 +5,7 @@ from collections.abc import Callable
 from omniman_ros.core.errors import InputError
 from omniman_ros.viewer import events
 from omniman_ros.viewer.hold_to_drive import HoldToDrive
-from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.obstacle_interface import ObstaclePublisher
 from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
@@ -22,7 +22,7 @@ class PageCommands:
         state: ViewState,
         buttons: HoldToDrive,
         poses: PoseCommands,
-        obstacles: ObstacleInterface,
+        obstacles: ObstaclePublisher,
         planner_parameters: PlannerParameterClient,
         calls: ServiceCalls,
         tool: ToolCommands,

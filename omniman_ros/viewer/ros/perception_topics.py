@@ -11,8 +11,8 @@ from std_msgs.msg import Float64, Header
 
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.maps import map_from_message
-from omniman_ros.conversions.motion_limits import motion_limit_shares
-from omniman_ros.conversions.perceived import contact_place, tracked_obstacles
+from omniman_ros.conversions.motion_limits import motion_limit_fractions
+from omniman_ros.conversions.perceived import contact_position, tracked_obstacles
 from omniman_ros.conversions.scans import scan_from_message
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arm_model import JOINTS
@@ -25,7 +25,7 @@ from omniman_ros.nodes.obstacle_tracker_parameters import LASER, ScannerInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.perception.scan import placed
-from omniman_ros.viewer.body_view import BodyShapes, BodyView, solids_around
+from omniman_ros.viewer.body_view import BodyShapes, BodyView, obstacles_around
 from omniman_ros.viewer.lines import thinned
 from omniman_ros.viewer.map_image import Pixels, map_image, map_pixels
 from omniman_ros.viewer.perceived import Contact, Tracks
@@ -78,13 +78,13 @@ class PerceptionTopics:
         if state.odom is None:
             return None
         pose, has_arm = np.array(state.odom), state.arm is not None
-        solids = solids_around(
+        obstacles = obstacles_around(
             pose, state.other_obstacles, state.obstacles, state.perceived.scan.points
         )
         if has_arm not in self._shapes:
             self._shapes[has_arm] = self._parameters.shapes(with_arm=has_arm)
         joints = np.zeros(JOINTS) if state.arm is None else state.arm
-        return self._shapes[has_arm].view(pose, joints, solids)
+        return self._shapes[has_arm].view(pose, joints, obstacles)
 
     def _place_map(self) -> None:
         if self._map is None:
@@ -148,12 +148,12 @@ class PerceptionTopics:
             if status.level == DiagnosticStatus.OK:
                 contacts.pop(status.name, None)
                 continue
-            place, force = contact_place({item.key: item.value for item in status.values})
+            place, force = contact_position({item.key: item.value for item in status.values})
             contacts[status.name] = Contact(status.message, place, force, now)
 
     def _on_limit(self, message: JointState) -> None:
-        shares = motion_limit_shares(message)
-        self._state.perceived.update_speed_shares(shares, self._node.now())
+        fractions = motion_limit_fractions(message)
+        self._state.perceived.update_speed_fractions(fractions, self._node.now())
 
     def _on_margin(self, message: Float64) -> None:
         if not math.isfinite(message.data):

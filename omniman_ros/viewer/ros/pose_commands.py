@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.planning.cases import CASES
 from omniman_ros.viewer.events import CaseSelected, GoalDragged, StartDragged
-from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.obstacle_interface import ObstaclePublisher
 from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.ros.relocation import RelocationStep, Relocator
@@ -34,7 +34,7 @@ class PoseCommands:
         node: OmnimanNode,
         parameters: ViewerParameters,
         state: ViewState,
-        obstacles: ObstacleInterface,
+        obstacles: ObstaclePublisher,
         calls: ServiceCalls,
         frames: PageFrames,
     ) -> None:

@@ -8,7 +8,7 @@ import struct
 from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt
 from omniman_ros.can_drives.cia402.axis import Cia402Axis
 from omniman_ros.can_drives.cia402.network import CanopenNetwork
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from test.can_drives.fuzz import settings
 
 SIGNED = {
@@ -136,7 +136,7 @@ class FakeDrive:
         if key not in self.objects:
             abort = abort or 0x06020000
         if abort:
-            return [Frame(answer, struct.pack("<BHBI", 0x80, index, sub, abort))]
+            return [CanFrame(answer, struct.pack("<BHBI", 0x80, index, sub, abort))]
         if write:
             size = 4 - (command >> 2 & 3)
             assert size == self.size(*key), f"{index:04X}: {size} bytes"
@@ -146,11 +146,11 @@ class FakeDrive:
                 self.objects[key] = value
             if index == 0x6040:
                 self.control(value)
-            return [Frame(answer, struct.pack("<BHBI", 0x60, index, sub, 0))]
+            return [CanFrame(answer, struct.pack("<BHBI", 0x60, index, sub, 0))]
         self.objects[0x6041, 0] = self.statusword()
         raw = self.bytes_of(*key)
         return [
-            Frame(
+            CanFrame(
                 answer,
                 struct.pack("<BHB", 0x43 | (4 - len(raw)) << 2, index, sub) + raw.ljust(4, b"\0"),
             )
@@ -193,11 +193,13 @@ class FakeDrive:
             for i in range(self.objects[0x1A00 + n, 0]):
                 mapping = self.objects[0x1A00 + n, i + 1]
                 data += self.bytes_of(mapping >> 16, mapping >> 8 & 0xFF)
-            frames.append(Frame(cob_id & 0x7FF, data))
+            frames.append(CanFrame(cob_id & 0x7FF, data))
         return frames
 
     def heartbeat(self):
-        return [] if "heartbeat" in self.silent else [Frame(0x700 + self.node, bytes((self.nmt,)))]
+        return (
+            [] if "heartbeat" in self.silent else [CanFrame(0x700 + self.node, bytes((self.nmt,)))]
+        )
 
 
 class Bench:
@@ -256,7 +258,7 @@ class Bench:
 
     def tell(self, cob_id, data):
         """Deliver a frame from the drive."""
-        frame = Frame(cob_id + self.drive.node, bytes.fromhex(data))
+        frame = CanFrame(cob_id + self.drive.node, bytes.fromhex(data))
         receipt = self.axis.receive(frame, self.now)
         assert receipt in Receipt
         return receipt

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt, Setpoint
+from omniman_ros.can_drives.axis import REST, AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.cia402 import setup as cia402_setup
 from omniman_ros.can_drives.cia402.axis import Cia402Axis
 from omniman_ros.can_drives.cia402.network import CanopenNetwork
 from omniman_ros.can_drives.cia402.state import CONTROLWORDS, PdsState, pds_state
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import InputError, ParameterError
 from test.can_drives.cia402.fake_cia402 import WORDS, Bench, FakeDrive
@@ -128,7 +128,7 @@ def test_profile_modes_replace_missing_cyclic_modes(supported, velocity, torque)
     drive.objects[0x6502, 0] = supported
     bench = Bench(drive, mode=TORQUE).driving()
     assert bench.rpdos()[1][6] == velocity
-    bench.setpoint = Setpoint(TORQUE, 0.0)
+    bench.setpoint = DriveSetpoint(TORQUE, 0.0)
     bench.step(3)
     assert bench.rpdos()[2][4] == torque
     assert (bench.axis.state, bench.axis.fault_reason) == (AxisState.ENABLED, "")
@@ -201,7 +201,7 @@ def test_alternative_stop_option_is_accepted_if_the_preferred_is_refused(entry, 
     def serve(data):
         head = bytes((0x2B, entry[0] & 0xFF, entry[0] >> 8, 0))
         if data[:4] == head and data[4] != kept:
-            return [Frame(0x585, bytes((0x80, *head[1:])) + bytes.fromhex("30000906"))]
+            return [CanFrame(0x585, bytes((0x80, *head[1:])) + bytes.fromhex("30000906"))]
         return normal(data)
 
     drive.serve = serve
@@ -216,13 +216,13 @@ def test_listed_mode_that_is_refused_is_replaced():
 
     def serve(data):
         if data[:4] == bytes.fromhex("2F606000") and data[4] in (9, 10):
-            return [Frame(0x585, bytes.fromhex("8060600030000906"))]
+            return [CanFrame(0x585, bytes.fromhex("8060600030000906"))]
         return normal(data)
 
     drive.serve = serve
     bench = Bench(drive, mode=TORQUE).driving()
     assert bench.rpdos()[1][6] == 3
-    bench.setpoint = Setpoint(TORQUE, 0.0)
+    bench.setpoint = DriveSetpoint(TORQUE, 0.0)
     bench.step(3)
     assert bench.rpdos()[2][4] == 4
 
@@ -252,7 +252,7 @@ def test_power_may_take_a_second_to_switch_off():
 
 
 def test_power_is_switched_off_without_any_answer():
-    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench = Bench().driving(DriveSetpoint(VELOCITY, 5.0))
     bench.lost = lambda frame: True
     bench.axis.configure(bench.now)
     bench.step(3)
@@ -305,7 +305,7 @@ def test_quick_stop_option_2_is_accepted_if_6_is_refused():
 
     def serve(data):
         if data[:4] == bytes.fromhex("2B5A6000") and data[4] == 6:
-            return [Frame(0x585, bytes.fromhex("805A600030000906"))]
+            return [CanFrame(0x585, bytes.fromhex("805A600030000906"))]
         return normal(data)
 
     drive.serve = serve
@@ -564,7 +564,7 @@ def test_controlwords_match_the_profile():
 
 def test_drive_is_enabled_step_by_step_at_zero():
     bench = Bench().configured()
-    bench.demand, bench.setpoint = Demand.DRIVE, Setpoint(VELOCITY, 100.0)
+    bench.demand, bench.setpoint = Demand.DRIVE, DriveSetpoint(VELOCITY, 100.0)
     seen = []
     while bench.axis.state is not AxisState.ENABLED:
         bench.step()
@@ -580,7 +580,7 @@ def test_drive_gets_no_setpoint_until_the_mode_is_shown():
     drive = FakeDrive()
     bench = Bench(drive).configured()
     drive.shown_mode = 3
-    bench.demand, bench.setpoint = Demand.DRIVE, Setpoint(VELOCITY, 100.0)
+    bench.demand, bench.setpoint = Demand.DRIVE, DriveSetpoint(VELOCITY, 100.0)
     bench.step(15)
     assert drive.state == "enabled"
     assert bench.axis.state is AxisState.READY
@@ -592,14 +592,14 @@ def test_drive_gets_no_setpoint_until_the_mode_is_shown():
 
 
 def test_one_frame_per_tick_carries_mode_and_setpoint():
-    bench = Bench(mode=TORQUE).driving(Setpoint(VELOCITY, 10.0))
+    bench = Bench(mode=TORQUE).driving(DriveSetpoint(VELOCITY, 10.0))
     assert list(bench.rpdos()) == [1]
-    bench.setpoint = Setpoint(TORQUE, 0.5)
+    bench.setpoint = DriveSetpoint(TORQUE, 0.5)
     bench.step()
     # no zero in between: the drive would brake, or coast, for a tick
     assert struct.unpack("<Hhb", bench.rpdos()[2]) == (0x0F, 500, 10)
     assert list(bench.rpdos()) == [2]
-    bench.setpoint = Setpoint(VELOCITY, -10.0)
+    bench.setpoint = DriveSetpoint(VELOCITY, -10.0)
     bench.step()
     assert struct.unpack("<Hib", bench.rpdos()[1]) == (0x0F, -round(10 / math.tau * 4096), 9)
     assert list(bench.rpdos()) == [1]
@@ -608,9 +608,9 @@ def test_one_frame_per_tick_carries_mode_and_setpoint():
 
 
 def test_setpoints_continue_while_the_shown_mode_lags():
-    bench = Bench(mode=TORQUE).driving(Setpoint(VELOCITY, 10.0))
+    bench = Bench(mode=TORQUE).driving(DriveSetpoint(VELOCITY, 10.0))
     bench.drive.shown_mode = 9
-    bench.setpoint = Setpoint(TORQUE, 0.5)
+    bench.setpoint = DriveSetpoint(TORQUE, 0.5)
     for _ in range(4):
         bench.step()
         assert struct.unpack("<Hhb", bench.rpdos()[2]) == (0x0F, 500, 10)
@@ -624,14 +624,14 @@ def test_mode_that_the_drive_lacks_is_refused():
     bench = Bench().driving()
     for mode in (TORQUE, DriveMode.VOLTAGE):
         with pytest.raises(InputError, match=f"no {mode.value} mode"):
-            bench.axis.tick(Demand.DRIVE, Setpoint(mode, 0.0), bench.now)
+            bench.axis.tick(Demand.DRIVE, DriveSetpoint(mode, 0.0), bench.now)
 
 
 def test_feed_forward_precedes_the_velocity_and_is_never_sent_with_a_torque():
-    bench = Bench(mode=TORQUE, feed_forward=True).driving(Setpoint(VELOCITY, 1.0, -0.25))
+    bench = Bench(mode=TORQUE, feed_forward=True).driving(DriveSetpoint(VELOCITY, 1.0, -0.25))
     assert list(bench.rpdos()) == [3, 1]
     assert bench.rpdos()[3] == struct.pack("<h", -250)
-    bench.setpoint = Setpoint(TORQUE, 1.0, 0.25)
+    bench.setpoint = DriveSetpoint(TORQUE, 1.0, 0.25)
     bench.step()
     assert bench.rpdos()[3] == bytes(2)
     bench.demand = Demand.STOP
@@ -650,15 +650,15 @@ def test_feed_forward_precedes_the_velocity_and_is_never_sent_with_a_torque():
     ],
 )
 def test_setpoints_are_clipped_to_the_limits(value, mode, sent):
-    bench = Bench(mode=TORQUE).driving(Setpoint(mode, 0.0))
-    bench.setpoint = Setpoint(mode, value)
+    bench = Bench(mode=TORQUE).driving(DriveSetpoint(mode, 0.0))
+    bench.setpoint = DriveSetpoint(mode, value)
     bench.step()
     (frame,) = bench.rpdos().values()
     assert struct.unpack("<Hib" if mode is VELOCITY else "<Hhb", frame)[1] == sent
 
 
 def test_torques_are_thousandths_of_the_rated_torque():
-    bench = Bench(mode=TORQUE, rated_torque=0.4).driving(Setpoint(TORQUE, 0.1))
+    bench = Bench(mode=TORQUE, rated_torque=0.4).driving(DriveSetpoint(TORQUE, 0.1))
     assert struct.unpack("<Hhb", bench.rpdos()[2])[1] == 250
 
 
@@ -670,7 +670,7 @@ def test_setpoints_are_clipped_to_the_integers():
         (TORQUE, 1e9, 32767),
         (TORQUE, -1e9, -32767),
     ]:
-        bench.setpoint = Setpoint(mode, value)
+        bench.setpoint = DriveSetpoint(mode, value)
         bench.step()
         (frame,) = bench.rpdos().values()
         assert struct.unpack("<Hib" if mode is VELOCITY else "<Hhb", frame)[1] == end
@@ -680,7 +680,7 @@ def test_setpoints_are_clipped_to_the_integers():
 def test_setpoint_that_is_not_finite_raises(bad):
     bench = Bench().driving()
     for demand in Demand:
-        for setpoint in (Setpoint(VELOCITY, bad), Setpoint(VELOCITY, 0.0, bad)):
+        for setpoint in (DriveSetpoint(VELOCITY, bad), DriveSetpoint(VELOCITY, 0.0, bad)):
             with pytest.raises(ValueError, match="finite"):
                 bench.axis.tick(demand, setpoint, bench.now)
 
@@ -689,11 +689,11 @@ def test_setpoint_that_is_not_finite_raises(bad):
 @given(st.floats(-500, 500), st.sampled_from([1.0, 10.0, 4096.0, 65536.0]))
 def test_velocities_are_rounded_to_half_a_unit(value, scale):
     axis, now = driving_axis(scale)
-    (frame,) = axis.tick(Demand.DRIVE, Setpoint(VELOCITY, value), now)
+    (frame,) = axis.tick(Demand.DRIVE, DriveSetpoint(VELOCITY, value), now)
     word, units, mode = struct.unpack("<Hib", frame.data)
     assert (word, mode) == (0x0F, 9)
     assert abs(units / scale * math.tau - value) <= 0.5001 * math.tau / scale
-    axis.receive(Frame(0x285, struct.pack("<ii", 0, units)), now)
+    axis.receive(CanFrame(0x285, struct.pack("<ii", 0, units)), now)
     assert axis.feedback.velocity == pytest.approx(units / scale * math.tau)
 
 
@@ -707,7 +707,7 @@ def driving_axis(scale):
 
 
 def test_stop_is_a_quick_stop_at_zero_and_is_repeated():
-    bench = Bench(mode=TORQUE).driving(Setpoint(TORQUE, 1.0))
+    bench = Bench(mode=TORQUE).driving(DriveSetpoint(TORQUE, 1.0))
     bench.demand = Demand.STOP
     for _ in range(50):
         bench.step()
@@ -717,13 +717,13 @@ def test_stop_is_a_quick_stop_at_zero_and_is_repeated():
 
 
 def test_stop_may_be_requested_between_two_ticks():
-    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench = Bench().driving(DriveSetpoint(VELOCITY, 5.0))
     (frame,) = bench.axis.tick(Demand.STOP, bench.setpoint, bench.now)
     assert str(frame) == "205#02000000000009"
 
 
 def test_drive_is_enabled_after_a_quick_stop_through_disable_voltage():
-    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench = Bench().driving(DriveSetpoint(VELOCITY, 5.0))
     bench.demand = Demand.STOP
     bench.step(5)
     bench.demand = Demand.DRIVE
@@ -738,7 +738,7 @@ def test_drive_is_enabled_after_a_quick_stop_through_disable_voltage():
 
 @pytest.mark.parametrize("state", ["ready", "on", "enabled", "quick", "disabled"])
 def test_idle_switches_the_power_off_from_any_state(state):
-    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench = Bench().driving(DriveSetpoint(VELOCITY, 5.0))
     bench.drive.state = state
     bench.demand = Demand.IDLE
     bench.step(5)
@@ -748,7 +748,7 @@ def test_idle_switches_the_power_off_from_any_state(state):
 
 def test_drive_restarts_at_zero_after_a_stop_while_still_shown_as_enabled():
     # where the quick stop is left by "enable operation" (transition 16) an old speed would return
-    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench = Bench().driving(DriveSetpoint(VELOCITY, 5.0))
     bench.lost = lambda frame: True
     for demand in (Demand.STOP, Demand.IDLE):
         bench.demand = demand
@@ -835,22 +835,24 @@ def test_pdos_before_configuration_are_not_feedback():
 @pytest.mark.parametrize(
     "frame, receipt",
     [
-        (Frame(0x186, bytes(5)), Receipt.FOREIGN),
-        (Frame(0x080, b""), Receipt.FOREIGN),
-        (Frame(0x205, bytes(7)), Receipt.FOREIGN),
-        (Frame(0x605, bytes(8)), Receipt.FOREIGN),
-        (Frame(0x185, bytes(5), extended=True), Receipt.FOREIGN),
-        (Frame(0x185, b"", remote=True), Receipt.MALFORMED),
-        (Frame(0x705, b"\x00", remote=True), Receipt.MALFORMED),  # node guarding of another host
-        (Frame(0x185, bytes(4)), Receipt.MALFORMED),
-        (Frame(0x285, bytes(7)), Receipt.MALFORMED),
-        (Frame(0x385, bytes(5)), Receipt.MALFORMED),
-        (Frame(0x485, bytes(8)), Receipt.MALFORMED),
-        (Frame(0x085, bytes(7)), Receipt.MALFORMED),
-        (Frame(0x705, b""), Receipt.MALFORMED),
-        (Frame(0x705, b"\x06"), Receipt.MALFORMED),
-        (Frame(0x585, bytes(8)), Receipt.MALFORMED),
-        (Frame(0x185, bytes.fromhex("0100090000")), Receipt.MALFORMED),  # no state has that word
+        (CanFrame(0x186, bytes(5)), Receipt.FOREIGN),
+        (CanFrame(0x080, b""), Receipt.FOREIGN),
+        (CanFrame(0x205, bytes(7)), Receipt.FOREIGN),
+        (CanFrame(0x605, bytes(8)), Receipt.FOREIGN),
+        (CanFrame(0x185, bytes(5), extended=True), Receipt.FOREIGN),
+        (CanFrame(0x185, b"", remote=True), Receipt.MALFORMED),
+        # node guarding of another host
+        (CanFrame(0x705, b"\x00", remote=True), Receipt.MALFORMED),
+        (CanFrame(0x185, bytes(4)), Receipt.MALFORMED),
+        (CanFrame(0x285, bytes(7)), Receipt.MALFORMED),
+        (CanFrame(0x385, bytes(5)), Receipt.MALFORMED),
+        (CanFrame(0x485, bytes(8)), Receipt.MALFORMED),
+        (CanFrame(0x085, bytes(7)), Receipt.MALFORMED),
+        (CanFrame(0x705, b""), Receipt.MALFORMED),
+        (CanFrame(0x705, b"\x06"), Receipt.MALFORMED),
+        (CanFrame(0x585, bytes(8)), Receipt.MALFORMED),
+        # no state has that word
+        (CanFrame(0x185, bytes.fromhex("0100090000")), Receipt.MALFORMED),
     ],
 )
 def test_receipts(frame, receipt):
@@ -896,7 +898,7 @@ def test_command_ids_are_those_of_the_host():
 
 def test_every_sent_frame_has_a_command_id():
     bench = Bench(mode=TORQUE, feed_forward=True).driving()
-    bench.setpoint = Setpoint(TORQUE, 0.1)
+    bench.setpoint = DriveSetpoint(TORQUE, 0.1)
     bench.step(3)
     known = {*bench.axis.command_ids, *bench.network.command_ids}
     assert {(f.id, f.extended) for f in bench.sent} <= known

@@ -4,8 +4,8 @@ import random
 
 import pytest
 
-from omniman_ros.can_drives.axis import AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.can_drives.cia402.fake_cia402 import Bench
 from test.can_drives.fuzz import COUNT, frames
@@ -43,10 +43,10 @@ BEGINNINGS = {
     AxisState.STOPPING: stopping,
     AxisState.FAULT: fault,
 }
-ENABLED = Frame(0x185, bytes.fromhex("3702090000"))
+ENABLED = CanFrame(0x185, bytes.fromhex("3702090000"))
 SETPOINTS = [
-    Setpoint(DriveMode.VELOCITY, 40.0, 0.3),
-    Setpoint(DriveMode.VELOCITY, -40.0, -0.3),
+    DriveSetpoint(DriveMode.VELOCITY, 40.0, 0.3),
+    DriveSetpoint(DriveMode.VELOCITY, -40.0, -0.3),
 ]
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from omniman_ros.can_drives.axis import REST, AxisState, Demand, Receipt, Setpoint
+from omniman_ros.can_drives.axis import REST, AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.cia402.axis import Cia402Axis
 from omniman_ros.can_drives.cia402.network import CanopenNetwork
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.can_drives.fuzz import settings
 
@@ -25,8 +25,7 @@ PLACES = [Path(p) / "node_modules" for p in (HERE, os.environ.get("OMNIMAN_NPM")
 MISSING = f"npm's canopen is not in {' or '.join(map(str, PLACES))}"
 MODULES = [place for place in PLACES if (place / "canopen").is_dir()]
 NODE = shutil.which("node")
-PATIENCE = 60.0
-"""Time after which a drive that hangs is ended, s."""
+PATIENCE = 60.0  #: Time after which a drive that hangs is ended, s
 
 pytestmark = [
     pytest.mark.processes,
@@ -75,7 +74,7 @@ class NpmBench:
                 assert line, "the drive's process has ended"
                 id, data = line.split("#")
                 self.heard.append(line)
-                frame = Frame(int(id, 16), bytes.fromhex(data))
+                frame = CanFrame(int(id, 16), bytes.fromhex(data))
                 self.receipts.append(self.axis.receive(frame, self.now))
 
     def until(self, state, seconds=3.0):
@@ -96,7 +95,7 @@ def bench():
 def driving(bench):
     bench.axis.configure(0.0)
     bench.until(AxisState.READY)
-    bench.demand, bench.setpoint = Demand.DRIVE, Setpoint(DriveMode.VELOCITY, 20.0)
+    bench.demand, bench.setpoint = Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, 20.0)
     bench.until(AxisState.ENABLED)
     bench.step(20)
     assert bench.axis.fault_reason == ""
@@ -108,7 +107,7 @@ def test_drive_is_configured_enabled_and_follows_a_velocity(bench):
     bench.until(AxisState.READY)
     assert bench.heard[0] == "705#00"
     assert bench.axis.fault_reason == ""
-    bench.demand, bench.setpoint = Demand.DRIVE, Setpoint(DriveMode.VELOCITY, 20.0)
+    bench.demand, bench.setpoint = Demand.DRIVE, DriveSetpoint(DriveMode.VELOCITY, 20.0)
     bench.until(AxisState.ENABLED)
     feedback = bench.axis.feedback
     assert feedback.velocity == 0.0  # the stale target did not move it

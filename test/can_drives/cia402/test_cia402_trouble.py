@@ -5,12 +5,12 @@ import struct
 
 import pytest
 
-from omniman_ros.can_drives.axis import AxisState, Demand, Receipt, Setpoint
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.cia402.state import FaultReset
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.can_drives.cia402.fake_cia402 import WORDS, Bench, FakeDrive
 
-MOVING = Setpoint(DriveMode.VELOCITY, 50.0)
+MOVING = DriveSetpoint(DriveMode.VELOCITY, 50.0)
 
 
 def still(bench, steps=1):
@@ -233,7 +233,7 @@ def test_wrong_mode_is_a_fault_after_a_tenth_of_a_second():
 def test_drive_that_refuses_a_mode_is_reported():
     bench = Bench(mode=DriveMode.TORQUE).driving(MOVING)
     bench.drive.shown_mode = 9
-    bench.setpoint = Setpoint(DriveMode.TORQUE, 0.1)
+    bench.setpoint = DriveSetpoint(DriveMode.TORQUE, 0.1)
     bench.step(30)
     assert "shows mode 9 (cyclic synchronous velocity) instead of 10" in bench.axis.fault_reason
 

@@ -14,7 +14,7 @@ from omniman_ros.identification.friction.command import (
     mismatch_parameters,
     true_friction,
 )
-from omniman_ros.identification.friction.drive_session import Drive
+from omniman_ros.identification.friction.drive_session import DriveNode
 from omniman_ros.identification.friction.friction_fit import SteadyRun, identify_friction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth, load, save
 from omniman_ros.identification.friction.report import parameter_file, report
@@ -183,7 +183,7 @@ def test_a_wrong_option_is_refused_in_one_line(arguments, message, capsys):
 def test_the_simulated_robot_differs_from_its_configuration_and_is_noisy():
     names = [text.partition(":=")[0] for text in mismatch_parameters(robot("omni3"))]
     assert names == ["mismatch.friction", "mismatch.torque_constant", "faults.current_noise"]
-    truth = true_friction(Drive("/drive", {"mismatch.friction": [2.0]}), IG42)
+    truth = true_friction(DriveNode("/drive", {"mismatch.friction": [2.0]}), IG42)
     assert truth == Truth((0.008,) * 4, (0.5,) * 4)
 
 

@@ -20,7 +20,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import flatten
 from omniman_ros.identification.friction import command as friction_command
 from omniman_ros.identification.friction.drive_session import DriveSession
-from omniman_ros.identification.friction.experiment import Phase
+from omniman_ros.identification.friction.experiment import ExperimentPhase
 from omniman_ros.identification.friction.record import load
 from omniman_ros.identification.friction.voltage_plan import make_plan
 from omniman_ros.identification.node_access import LATCHED
@@ -168,7 +168,7 @@ def during_first_level(do):
     """A reaction to the first level, repeated from then on."""
 
     def react(experiment):
-        if experiment.level_index == 0 and experiment.phase is not Phase.RAMP:
+        if experiment.level_index == 0 and experiment.phase is not ExperimentPhase.RAMP:
             do()
 
     return react
@@ -230,7 +230,7 @@ def test_missing_feedback_is_named(bench):
 
 def test_all_levels_are_applied_and_the_wheels_come_to_rest(connected):
     experiment = connected.session.run(connected.plan)
-    assert experiment.phase is Phase.DONE and len(experiment.runs) == 6
+    assert experiment.phase is ExperimentPhase.DONE and len(experiment.runs) == 6
     for run, level in zip(experiment.runs, connected.plan.levels, strict=True):
         np.testing.assert_allclose(run.voltage, level * connected.plan.signs)
         np.testing.assert_allclose(np.abs(run.current), AMPERES)

@@ -6,7 +6,7 @@ import pytest
 
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.errors import InputError
-from omniman_ros.identification.friction.experiment import FrictionExperiment, Phase
+from omniman_ros.identification.friction.experiment import ExperimentPhase, FrictionExperiment
 from omniman_ros.identification.friction.feedback_monitor import AT_REST_SPEED
 from omniman_ros.identification.friction.friction_fit import MIN_SPEED, identify_friction
 from omniman_ros.identification.friction.level_samples import ExperimentError
@@ -59,8 +59,8 @@ class Wheels:
     def step(self):
         self.now += PERIOD
         self.ticks += 1
-        share = 1.0 - math.exp(-PERIOD / self.lag)
-        self.speed = self.speed + share * (self.steady_speed() - self.speed)
+        fraction = 1.0 - math.exp(-PERIOD / self.lag)
+        self.speed = self.speed + fraction * (self.steady_speed() - self.speed)
         if self.held is not None:
             self.speed[self.held] = 0.0
         self.report_factor -= self.drift * PERIOD
@@ -86,7 +86,7 @@ class Wheels:
         )
 
     def finish(self):
-        return self.until(lambda: self.experiment.phase is Phase.DONE)
+        return self.until(lambda: self.experiment.phase is ExperimentPhase.DONE)
 
 
 def back_emf_of(robot):
@@ -182,9 +182,9 @@ def test_it_waits_until_the_speed_is_constant():
     """With a lag of 0.4 s the speed is within a thousandth after 7 lags."""
 
     def waited(lag):
-        wheels = Wheels(lag=lag).reach(Phase.SETTLE, 0)
+        wheels = Wheels(lag=lag).reach(ExperimentPhase.SETTLE, 0)
         start = wheels.now
-        wheels.reach(Phase.MEASURE, 0)
+        wheels.reach(ExperimentPhase.MEASURE, 0)
         return wheels.now - start, wheels
 
     quick, _ = waited(0.02)
@@ -195,10 +195,10 @@ def test_it_waits_until_the_speed_is_constant():
 
 
 def test_a_speed_that_never_settles_is_measured_after_the_timeout_and_marked():
-    wheels = Wheels().reach(Phase.SETTLE, 0)
+    wheels = Wheels().reach(ExperimentPhase.SETTLE, 0)
     wheels.drift = 0.05  # 0.9 rad/s^2: a thirtieth of the friction's torque
     start = wheels.now
-    wheels.reach(Phase.MEASURE, 0)
+    wheels.reach(ExperimentPhase.MEASURE, 0)
     assert wheels.now - start == pytest.approx(wheels.plan.settle_timeout, abs=0.1)
     wheels.until(lambda: len(wheels.experiment.runs) == 1)
     assert not wheels.experiment.runs[0].steady.any()
@@ -206,7 +206,7 @@ def test_a_speed_that_never_settles_is_measured_after_the_timeout_and_marked():
 
 def test_a_noisy_current_is_measured_longer_up_to_a_limit():
     def measured(noise):
-        wheels = Wheels(noise=noise, precision=0.01).reach(Phase.MEASURE, 0)
+        wheels = Wheels(noise=noise, precision=0.01).reach(ExperimentPhase.MEASURE, 0)
         start = wheels.now
         wheels.until(lambda: len(wheels.experiment.runs) == 1)
         run = wheels.experiment.runs[0]
@@ -227,7 +227,9 @@ def test_a_noisy_current_is_measured_longer_up_to_a_limit():
 
 
 @pytest.mark.parametrize("topic", ["wheel_states", "wheel_electrical"])
-@pytest.mark.parametrize("phase", [Phase.RAMP, Phase.SETTLE, Phase.MEASURE])
+@pytest.mark.parametrize(
+    "phase", [ExperimentPhase.RAMP, ExperimentPhase.SETTLE, ExperimentPhase.MEASURE]
+)
 def test_missing_feedback_ends_it_in_time(topic, phase):
     wheels = Wheels().reach(phase, 1)
     wheels.silent.add(topic)
@@ -238,7 +240,7 @@ def test_missing_feedback_ends_it_in_time(topic, phase):
 
 
 def test_a_wheel_that_is_too_fast_ends_it():
-    wheels = Wheels().reach(Phase.MEASURE, 0)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 0)
     wheels.speed[2] = -20.5
     with pytest.raises(ExperimentError, match=r"'rear_left' turns at -\d+.*motor.max_speed = 20"):
         wheels.experiment.on_wheels(wheels.now + 1e-3, wheels.position, wheels.speed, wheels.now)
@@ -256,7 +258,7 @@ def test_a_wheel_that_does_not_turn_ends_it_at_the_first_low_voltage(held, name)
 
 
 def test_a_wheel_that_is_blocked_later_ends_it_too():
-    wheels = Wheels().reach(Phase.MEASURE, 8)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 8)
     wheels.held = 1
     start = wheels.now
     with pytest.raises(ExperimentError, match="'front_right'"):
@@ -266,9 +268,9 @@ def test_a_wheel_that_is_blocked_later_ends_it_too():
 
 def test_a_wheel_that_turns_but_is_strained_ends_it():
     """Wheels that slip on the floor turn nearly as fast, and draw many times the current."""
-    wheels = Wheels().reach(Phase.MEASURE, 0)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 0)
     for k in range(9):
-        assert wheels.experiment.phase is Phase.MEASURE
+        assert wheels.experiment.phase is ExperimentPhase.MEASURE
         amps = np.array([0.5, 5.0, 0.5, 0.5])
         wheels.now += 1e-3
         wheels.experiment.on_electrical(wheels.volts, amps, wheels.now)
@@ -291,7 +293,7 @@ def test_stiction_at_the_lowest_voltage_is_no_fault():
 
 
 def test_positions_and_velocities_must_agree():
-    wheels = Wheels().reach(Phase.MEASURE, 0)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 0)
     wheels.step()
     experiment = wheels.experiment
     with pytest.raises(ExperimentError, match="disagree with themselves"):
@@ -323,14 +325,16 @@ def delay(wheels, seconds, who):
 
 
 @pytest.mark.parametrize("who", ["tool", "drive"])
-@pytest.mark.parametrize("phase", [Phase.RAMP, Phase.SETTLE, Phase.MEASURE])
+@pytest.mark.parametrize(
+    "phase", [ExperimentPhase.RAMP, ExperimentPhase.SETTLE, ExperimentPhase.MEASURE]
+)
 def test_a_delayed_level_is_restarted_without_a_jump(who, phase):
     wheels = Wheels(levels=3, rounds=1, feedback_timeout=2.0).reach(phase, 1)
     delay(wheels, 0.7, who)
     speed = np.abs(wheels.speed)
     for _ in range(4):
         wheels.step()
-    assert wheels.experiment.phase is Phase.RAMP and wheels.experiment.level_index == 1
+    assert wheels.experiment.phase is ExperimentPhase.RAMP and wheels.experiment.level_index == 1
     assert wheels.experiment.restarts >= 1
     jump = np.abs(wheels.volts) - BACK_EMF * speed
     assert jump.max() < 1.0, "the voltages begin at the back-EMF"
@@ -342,23 +346,23 @@ def test_a_delayed_level_is_restarted_without_a_jump(who, phase):
 
 def test_wheels_of_a_drive_that_ramps_down_do_not_count_as_held():
     """After late commands the wheels may have lost most of their speed."""
-    wheels = Wheels(levels=3, rounds=1).reach(Phase.MEASURE, 0)
+    wheels = Wheels(levels=3, rounds=1).reach(ExperimentPhase.MEASURE, 0)
     wheels.speed *= 0.2
     wheels.experiment.on_electrical(0.2 * wheels.volts, wheels.current(), wheels.now)
     wheels.now += PERIOD
     wheels.experiment.on_wheels(wheels.now, wheels.position, wheels.speed, wheels.now)
     wheels.experiment.voltages(wheels.now)
-    assert wheels.experiment.phase is Phase.RAMP
+    assert wheels.experiment.phase is ExperimentPhase.RAMP
     assert len(wheels.finish().experiment.runs) == 6
 
 
 def test_a_drive_that_ramps_down_is_detected_while_the_speed_settles():
-    wheels = Wheels(levels=3, rounds=1).reach(Phase.SETTLE, 0)
+    wheels = Wheels(levels=3, rounds=1).reach(ExperimentPhase.SETTLE, 0)
     for _ in range(25):
         wheels.step()
     wheels.experiment.on_electrical(0.6 * wheels.volts, wheels.current(), wheels.now)
     wheels.experiment.voltages(wheels.now)
-    assert wheels.experiment.phase is Phase.RAMP and wheels.experiment.restarts == 1
+    assert wheels.experiment.phase is ExperimentPhase.RAMP and wheels.experiment.restarts == 1
 
 
 def test_a_drive_that_gives_other_voltages_ends_it():
@@ -376,7 +380,7 @@ def test_a_machine_that_is_always_delayed_ends_it():
     wheels = Wheels(feedback_timeout=2.0)
     with pytest.raises(ExperimentError, match="is too slow"):
         for _ in range(100):
-            wheels.reach(Phase.SETTLE)
+            wheels.reach(ExperimentPhase.SETTLE)
             delay(wheels, 0.2, "tool")
             wheels.step()
     assert wheels.experiment.restarts == 13
@@ -384,7 +388,7 @@ def test_a_machine_that_is_always_delayed_ends_it():
 
 def test_a_pause_on_the_way_to_rest_counts_in_the_ramp():
     """The voltage from before the pause would accelerate wheels that the drives have stopped."""
-    wheels = Wheels(feedback_timeout=2.0).reach(Phase.MEASURE, 0)
+    wheels = Wheels(feedback_timeout=2.0).reach(ExperimentPhase.MEASURE, 0)
     wheels.experiment.end(wheels.now)
     np.testing.assert_array_equal(wheels.experiment.voltages(wheels.now + 0.75), 0.0)
 
@@ -419,7 +423,7 @@ def test_invalid_electrical_values_are_refused(values):
 
 
 def test_an_early_end_ramps_down_and_keeps_the_runs():
-    wheels = Wheels().reach(Phase.MEASURE, 2)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 2)
     start, level = wheels.now, abs(wheels.volts[0])
     wheels.experiment.end(wheels.now)
     first = len(wheels.given)
@@ -433,13 +437,13 @@ def test_an_early_end_ramps_down_and_keeps_the_runs():
 
 
 def test_drives_that_stop_by_themselves_receive_zero_at_once():
-    wheels = Wheels().reach(Phase.MEASURE, 2)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 2)
     wheels.experiment.end(wheels.now, at_once=True)
     np.testing.assert_array_equal(wheels.experiment.voltages(wheels.now), 0.0)
 
 
 def test_after_a_fault_it_ramps_down_without_feedback_and_ends():
-    wheels = Wheels().reach(Phase.MEASURE, 0)
+    wheels = Wheels().reach(ExperimentPhase.MEASURE, 0)
     wheels.silent = {"wheel_states", "wheel_electrical"}
     with pytest.raises(ExperimentError):
         wheels.until(lambda: False, 500.0)
@@ -449,4 +453,4 @@ def test_after_a_fault_it_ramps_down_without_feedback_and_ends():
     np.testing.assert_array_equal(wheels.given[-1], 0.0)
     assert wheels.now - start < 0.75 + 3.5
     wheels.experiment.end(wheels.now)
-    assert wheels.experiment.phase is Phase.DONE
+    assert wheels.experiment.phase is ExperimentPhase.DONE

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omniman_ros.control.odometry import OdometryParameters
-from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Run
+from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun, Campaign
 from omniman_ros.identification.odometry.wheel_integration import (
     compose,
     forward_matrix,
@@ -31,8 +31,7 @@ ALL_WAYS = {
     "turns right": [(0, 0, -3 * HALF_TURN)],
     "ahead 2": [(1.6, 0, 0)],
     "turns left": [(0, 0, 3 * HALF_TURN)],
-}
-"""Legs of each run: displacements (x, y, turn) of constant twist in the robot's frame."""
+}  #: Legs of each run: displacements (x, y, turn) of constant twist in the robot's frame
 
 
 def runs(name, ways, scale=1.0):
@@ -42,7 +41,7 @@ def runs(name, ways, scale=1.0):
     for label, legs in ways.items():
         steps = np.array([model.J @ np.array(leg, dtype=float) * scale for leg in legs])
         positions = position + np.vstack([np.zeros(len(position)), np.cumsum(steps, axis=0)])
-        made.append(Run(label, positions))
+        made.append(CalibrationRun(label, positions))
         position = positions[-1]
     return tuple(made)
 
@@ -63,10 +62,8 @@ def campaign(
 
     Args:
         true: Parameters with which the odometry is exact.
-        name: Name of the robot.
         ways: Legs of the runs; ALL_WAYS if None.
         noise: Accuracy of the poses, whose errors are drawn from `rng`; exact if None.
-        accuracy: Stated accuracy.
         skip: Indices of poses that are not measured.
         off: Errors (3,) of poses by their index.
     """

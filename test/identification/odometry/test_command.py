@@ -16,13 +16,13 @@ from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build, flatten_mapping
 from omniman_ros.identification.line_reader import LineReader
-from omniman_ros.identification.odometry.campaign import Accuracy, Run
+from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun
 from omniman_ros.identification.odometry.command import mismatch_parameters
 from omniman_ros.identification.odometry.drive_plan import (
     CORNERS,
     MARGIN,
     TARGETS,
-    Motion,
+    CalibrationMotion,
     Speeds,
     check_shape,
     displacement_to,
@@ -215,12 +215,12 @@ def test_all_runs_stay_within_the_square_and_the_limits(name, area):
     motions = []
     for target in TARGETS:
         for way in (displacement_to(here, heading, target.corner, reach), (0.0, 0.0, target.turn)):
-            motions.append(Motion(straight_shape(way), here, speeds))
+            motions.append(CalibrationMotion(straight_shape(way), here, speeds))
             here = motions[-1].sample(math.inf).pose
         heading += target.turn
         assert here == pytest.approx((*(reach * c for c in CORNERS[target.corner]), heading))
     assert here == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
-    motions.append(Motion(check_shape(reach), here, speeds))
+    motions.append(CalibrationMotion(check_shape(reach), here, speeds))
     for motion in motions:
         samples = [motion.sample(t) for t in np.linspace(0, motion.duration, 200)]
         for sample in samples:
@@ -234,7 +234,7 @@ def test_all_runs_stay_within_the_square_and_the_limits(name, area):
 
 
 def test_a_motion_is_the_integral_of_its_velocity_and_acceleration():
-    motion = Motion(check_shape(0.7), (0.3, -0.2, 1.0), Speeds(0.4, 0.8, 1.0))
+    motion = CalibrationMotion(check_shape(0.7), (0.3, -0.2, 1.0), Speeds(0.4, 0.8, 1.0))
     h = 1e-5
     for time in np.linspace(0.01, motion.duration - 0.01, 37):
         before, at, after = (motion.sample(time + d) for d in (-h, 0.0, h))
@@ -254,7 +254,7 @@ def test_the_plan_determines_all_factors_with_a_tape_measure():
 def test_a_deviation_at_the_start_of_a_run_is_corrected_on_the_way():
     here = (0.1, -0.05, math.pi + 0.05)
     way = displacement_to(here, math.pi, "front left", 1.0)
-    end = Motion(straight_shape(way), here, Speeds(0.3, 0.6, 1.0)).sample(math.inf).pose
+    end = CalibrationMotion(straight_shape(way), here, Speeds(0.3, 0.6, 1.0)).sample(math.inf).pose
     assert end == pytest.approx((1.0, 1.0, math.pi))
 
 
@@ -303,15 +303,15 @@ def driven(true, check_end=True, noise=0.0):
     for number, target in enumerate(TARGETS):
         parts = []
         for way in (displacement_to(here, heading, target.corner, REACH), (0.0, 0.0, target.turn)):
-            motion = Motion(straight_shape(way), here, speeds)
+            motion = CalibrationMotion(straight_shape(way), here, speeds)
             parts.append(turned(motion)[1])
             here = motion.sample(math.inf).pose
         heading += target.turn
         positions = np.vstack([parts[0], parts[0][-1] + parts[1][1:]])
         pose = tuple(integrate(forward, positions, pose)[-1].tolist())
         measured = tuple((np.array(pose) + noise * rng.normal(size=3)).tolist())
-        record = record.with_run(Run(f"{number}", positions), measured)
-    times, positions = turned(Motion(check_shape(REACH), here, speeds))
+        record = record.with_run(CalibrationRun(f"{number}", positions), measured)
+    times, positions = turned(CalibrationMotion(check_shape(REACH), here, speeds))
     poses = integrate(forward, positions, record.poses[-1])
     truth = np.column_stack([times, poses])[::3]
     end = tuple(poses[-1].tolist()) if check_end else None

@@ -6,7 +6,7 @@ import pytest
 
 from omniman_ros.control.odometry import Odometry, OdometryParameters
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Run
+from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun, Campaign
 from omniman_ros.identification.odometry.least_squares import (
     PoseChain,
     jacobian,
@@ -195,9 +195,9 @@ def test_shifts_are_the_effect_of_a_pose_error_on_the_residuals():
         ({"poses": ((0.0, 0.0, 0.0),)}, "1 poses for 14 runs"),
         ({"poses": (None,) * 14 + ((0.0, 0.0, 0.0),)}, "fewer than two"),
         ({"poses": ((0.0, math.nan, 0.0),) + ((0.0, 0.0, 0.0),) * 14}, "not finite"),
-        ({"runs": (Run("odd", np.zeros((5, 3))),) * 14}, "run 'odd'.*4 wheels"),
-        ({"runs": (Run("none", np.zeros((0, 4))),) * 14}, "run 'none'"),
-        ({"runs": (Run("bad", np.full((2, 4), math.inf)),) * 14}, "run 'bad'"),
+        ({"runs": (CalibrationRun("odd", np.zeros((5, 3))),) * 14}, "run 'odd'.*4 wheels"),
+        ({"runs": (CalibrationRun("none", np.zeros((0, 4))),) * 14}, "run 'none'"),
+        ({"runs": (CalibrationRun("bad", np.full((2, 4), math.inf)),) * 14}, "run 'bad'"),
     ],
 )
 def test_an_inconsistent_campaign_is_refused(change, why):

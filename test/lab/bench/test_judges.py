@@ -97,8 +97,7 @@ JUST_MET = {
         "node": {"ideal": {"rest": 0.3}, "rollers": {"driving": 0.3}},
         "scan": {"beams": 720, "cpu_us": 500.0, "core_share": 0.02},
     },
-}
-"""Results that just meet every aim."""
+}  #: Results that just meet every aim
 WORSE = [
     (control, ("core_tick_us", "torque"), 101.0),
     (control, ("latency_ratio",), 1.31),
@@ -179,7 +178,7 @@ def test_a_drive_that_fails_is_named_and_goals_count_by_the_minute():
     assert (found["reached"], found["contacts"], found["failed_seeds"]) == (1, 1, [7])
     assert crowd.figures([CROWD_RUN])["goals_per_minute"] == 6.0
     assert math.isnan(
-        tracker.figures([tracker.Run(tracker.TrackingJudge(3), [0.1])])["velocity_rmse"]
+        tracker.figures([tracker.TrackerRun(tracker.TrackingJudge(3), [0.1])])["velocity_rmse"]
     )
 
 
@@ -214,7 +213,7 @@ class Nothing:
 
 
 def test_intervals_and_ages_are_distinguished_by_their_labels():
-    load, message = arm.Load(Nothing()), Float64MultiArray(data=[0.003, 0.008, 0.009])
+    load, message = arm.ArmBenchmarkLoad(Nothing()), Float64MultiArray(data=[0.003, 0.008, 0.009])
     message.layout.dim = [
         MultiArrayDimension(label="ages", size=1),
         MultiArrayDimension(label="intervals", size=2),
@@ -224,7 +223,7 @@ def test_intervals_and_ages_are_distinguished_by_their_labels():
 
 
 def test_a_stop_of_the_robot_ends_the_benchmark_with_both_reasons():
-    load = arm.Load(Nothing())
+    load = arm.ArmBenchmarkLoad(Nothing())
     load.check()
     load.controller = {"program_state": "STOPPED", "program_end_reason": "halt"}
     stop = DiagnosticStatus(name="/arm_streamer", message="stopped: late")

@@ -10,8 +10,8 @@ from omniman_ros.lab.faults import page
 from omniman_ros.lab.faults.driver import cruise
 from omniman_ros.lab.faults.injections import InvalidContent, Publication, Setting
 from omniman_ros.lab.faults.invalid_messages import TOPICS
-from omniman_ros.lab.faults.judge import Stop
-from omniman_ros.lab.faults.rows import Outcome
+from omniman_ros.lab.faults.judge import StopMeasurement
+from omniman_ros.lab.faults.rows import RequiredOutcome
 from omniman_ros.lab.faults.table import ROWS
 from omniman_ros.lab.faults.trial import LONGEST_HOLD_UP, Trial
 from omniman_ros.nodes.registry import node_specs
@@ -41,7 +41,7 @@ def test_an_invalid_message_has_the_type_of_its_topic(topic, content):
 
 
 def test_rows_are_checked():
-    latched = next(row for row in ROWS if row.outcome is Outcome.LATCHED)
+    latched = next(row for row in ROWS if row.outcome is RequiredOutcome.LATCHED)
     with pytest.raises(ValueError, match="nobody is named"):
         replace(latched, stopped=())
     with pytest.raises(ValueError, match="needs its name"):
@@ -66,7 +66,7 @@ def test_a_cruise_begins_and_ends_at_rest_and_its_speed_is_the_derivative_of_its
 
 def test_the_report_counts_reactions_from_the_evidence_on():
     row = next(row for row in ROWS if row.name == "drive silent")
-    stop = Stop(0.5, row.unnoticed + 0.05, 0.6, 1.2, 0.5)
+    stop = StopMeasurement(0.5, row.unnoticed + 0.05, 0.6, 1.2, 0.5)
     figures = row_figures(row, [Trial(stop, stop, []), Trial(stop, stop, [])])
     assert figures["platform_reaction_s"] == pytest.approx(0.05)
     assert figures["passed"]
@@ -83,7 +83,7 @@ def test_the_report_counts_reactions_from_the_evidence_on():
 @pytest.mark.parametrize("failures", [[], ["platform: reaction"]])
 def test_a_trial_that_the_machine_held_up_is_not_judged_whether_it_passed_or_failed(failures):
     row = next(row for row in ROWS if row.name == "drive silent")
-    quick = Stop(0.5, row.unnoticed + 0.05, 0.6, 1.2, 0.5)
+    quick = StopMeasurement(0.5, row.unnoticed + 0.05, 0.6, 1.2, 0.5)
     held = Trial(replace(quick, reaction=9.0), quick, failures, held_up=LONGEST_HOLD_UP + 0.001)
     figures = row_figures(row, [held, held])
     assert (figures["passed"], figures["failures"], figures["not_judged"]) == (None, [], 2)

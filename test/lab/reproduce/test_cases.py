@@ -12,15 +12,15 @@ from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce import cases
 from omniman_ros.lab.studies.closed_loop import MotionRecord, StudyError
-from omniman_ros.lab.studies.mpc_cases import SCENES, Scene, circle
-from omniman_ros.lab.studies.planned_drives import SETTLING_TIME, Drive, drive_with_planner
-from omniman_ros.lab.studies.scene_geometry import Box
+from omniman_ros.lab.studies.mpc_cases import SCENES, MpcCase, circle
+from omniman_ros.lab.studies.planned_drives import SETTLING_TIME, RecordedDrive, drive_with_planner
+from omniman_ros.lab.studies.scene_geometry import RectangularOutline
 from omniman_ros.planning.cases import RADIUS, TwoVelocityPath
 from omniman_ros.planning.parameters import Arrival
 from test import robots
 
-BOX = Box(0.8, 0.5)
-SHORT = Scene("corridor", (0.3, 0.0, 0.0), obstacles=(circle(0.3, TwoVelocityPath((0.2, 0.9))),))
+BOX = RectangularOutline(0.8, 0.5)
+SHORT = MpcCase("corridor", (0.3, 0.0, 0.0), obstacles=(circle(0.3, TwoVelocityPath((0.2, 0.9))),))
 
 
 def driven(xs, obstacles=(), goal=(1.0, 0.0, 0.0), since=0.0):
@@ -32,7 +32,7 @@ def driven(xs, obstacles=(), goal=(1.0, 0.0, 0.0), since=0.0):
         record.odometry.append(np.array([x, 0.0, 0.0]))
         record.twists.append(np.array([(x - xs[k - 1]) / 0.005 if k else 0.0, 0.0, 0.0]))
         record.energy.append(5.0 + 0.05 * k)
-    return Drive.of(record, since, goal, build(Arrival, {}), BOX, obstacles)
+    return RecordedDrive.of(record, since, goal, build(Arrival, {}), BOX, obstacles)
 
 
 def there_and_rest(seconds=1.0, rest=1.0):

@@ -10,9 +10,9 @@ from omniman_ros.lab.studies.coupling import (
     LAG_CONTROLLER,
     OWN_CONTROLLER,
     PAPER_CONTROLLER,
-    Case,
-    Outcome,
-    Run,
+    CouplingCase,
+    CouplingFigures,
+    CouplingRun,
     draw_mismatch,
 )
 from test import robots
@@ -21,12 +21,12 @@ OMNIMAN = robots.values("omniman")
 
 
 def made(group, sample, gain, epsilon_max, controller=OWN_CONTROLLER):
-    case = Case(group, sample, gain, draw_mismatch(group, 0, sample, 4), controller)
-    outcome = Outcome(
-        **dict.fromkeys(Outcome.__dataclass_fields__, 1.0) | {"epsilon_max": epsilon_max}
+    case = CouplingCase(group, sample, gain, draw_mismatch(group, 0, sample, 4), controller)
+    outcome = CouplingFigures(
+        **dict.fromkeys(CouplingFigures.__dataclass_fields__, 1.0) | {"epsilon_max": epsilon_max}
     )
     time = np.linspace(0.0, STANDARD.figure.duration, 20)
-    return Run(case, outcome, time, np.outer(np.sin(time), [epsilon_max]))
+    return CouplingRun(case, outcome, time, np.outer(np.sin(time), [epsilon_max]))
 
 
 @pytest.mark.parametrize(

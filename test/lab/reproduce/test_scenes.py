@@ -14,7 +14,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.lab.reproduce import scenes
 from omniman_ros.lab.reproduce.scene_runs import NodeLoop, SceneRunSettings, drive_scene
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene, SceneError
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
+from omniman_ros.lab.studies.scene_geometry import Ellipse, PolylineMotion, RectangularOutline
 from omniman_ros.lab.studies.scenes import (
     AIM_REACHED,
     GOAL_TOLERANCE,
@@ -146,10 +146,10 @@ def test_usage_error_is_reported(monkeypatch, given, said):
 def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
     """Return the outcome of a synthetic straight drive."""
     there = made(*obstacles, seed=seed, blocked=bool(seed % 2))
-    share = np.linspace(0.0, 1.0, 81)
+    fraction = np.linspace(0.0, 1.0, 81)
     drive = SceneDrive(
-        0.25 + 4.0 * share,
-        share[:, None] * np.array(end),
+        0.25 + 4.0 * fraction,
+        fraction[:, None] * np.array(end),
         60.0,
         arrived,
         np.full(80, 0.006),
@@ -158,7 +158,7 @@ def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
         "arrived" if arrived else "blocked",
         "arrived" if arrived else "blocked: no way",
     )
-    return judge_drive(there, drive, Box(0.8, 0.5))
+    return judge_drive(there, drive, RectangularOutline(0.8, 0.5))
 
 
 def command(monkeypatch, tmp_path, outcomes, **given):
@@ -226,7 +226,7 @@ def test_in_the_world_a_contact_by_the_engine_counts(loop_in):
     drive = SceneDrive(
         np.array([0.0, 0.4]), np.zeros((2, 3)), 1.0, True, np.array([0.01]), 0, 0.0, "", ""
     )
-    there, box = made(STANDING), Box(0.8, 0.5)
+    there, box = made(STANDING), RectangularOutline(0.8, 0.5)
     assert not judge_drive(there, drive, box).verdict.collided
     verdict = judge_drive(there, replace(drive, touched=(0.2, 0)), box).verdict
     assert (verdict.contact, verdict.touched) == (0.2, 0)
@@ -253,7 +253,7 @@ def test_reported_arrival_counts_only_if_true(end, reached):
 def test_leaving_the_workspace_is_a_failure():
     for low, left in ((-0.2, True), (-0.5, False)):
         there = replace(made(), workspace=(-1.0, low, 3.0, 1.0))
-        judged = judge_drive(there, outcome(0).drive, Box(0.8, 0.5))
+        judged = judge_drive(there, outcome(0).drive, RectangularOutline(0.8, 0.5))
         assert (judged.left_workspace, judged.failed) == (left, left)
 
 

@@ -6,7 +6,7 @@ import pytest
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce.tool_path import drive_row, report
-from omniman_ros.lab.studies.tool_path import WHEELS, Case, Run, StreamedArm
+from omniman_ros.lab.studies.tool_path import WHEELS, StreamedArm, ToolPathCase, ToolPathRun
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.ur.parameters import UrParameters
@@ -18,9 +18,9 @@ def made(off, peak, correction=True):
     wanted = np.zeros((count, 3))
     odom = wanted + [off, 0.0, 0.0]
     odom[50, 0] = peak
-    case = Case("S", WHEELS["PI"], build(ToolPathOptions, {"correction": correction}))
+    case = ToolPathCase("S", WHEELS["PI"], build(ToolPathOptions, {"correction": correction}))
     times, zero = np.linspace(0.0, 1.0, count), np.zeros((count, 3))
-    return Run(case, times, wanted, odom, wanted, zero, zero, np.zeros(count))
+    return ToolPathRun(case, times, wanted, odom, wanted, zero, zero, np.zeros(count))
 
 
 @pytest.mark.parametrize(

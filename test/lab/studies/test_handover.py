@@ -8,11 +8,17 @@ import pytest
 
 from omniman_ros.core import se2
 from omniman_ros.lab.studies.closed_loop import PERIOD, MotionRecord
-from omniman_ros.lab.studies.handover import KEPT_TIME, SPEED, Case, Run, station_error
-from omniman_ros.lab.studies.scene_geometry import Box
+from omniman_ros.lab.studies.handover import (
+    KEPT_TIME,
+    SPEED,
+    HandoverCase,
+    HandoverRun,
+    station_error,
+)
+from omniman_ros.lab.studies.scene_geometry import RectangularOutline
 
 OFFSET = (0.0, -1.3, 0.0)
-BOX = Box(1.0, 0.7)
+BOX = RectangularOutline(1.0, 0.7)
 
 
 def made(error=(0.0, 0.0, 0.0), seconds=8.0):
@@ -22,8 +28,8 @@ def made(error=(0.0, 0.0, 0.0), seconds=8.0):
     leader = np.array([se2.arc(twist * time) for time in times])
     follower = np.array([se2.compose(se2.compose(pose, OFFSET), error) for pose in leader])
     energies = np.column_stack([times, 2.0 * times])
-    case = Case("S", "PI")
-    return Run(case, OFFSET, BOX, times, leader, follower, energies, 2.0)
+    case = HandoverCase("S", "PI")
+    return HandoverRun(case, OFFSET, BOX, times, leader, follower, energies, 2.0)
 
 
 def test_error_is_measured_in_the_frame_of_the_station_beside_the_true_leader():
@@ -51,7 +57,7 @@ def test_run_joins_records_that_begin_and_end_at_different_times():
             record.times.append(tick * PERIOD)
             record.poses.append(np.full(3, tick, dtype=float))
             record.energy.append(float(tick))
-    run = Run.of(Case("S", "PI"), OFFSET, BOX, leader, follower, 50 * PERIOD)
+    run = HandoverRun.of(HandoverCase("S", "PI"), OFFSET, BOX, leader, follower, 50 * PERIOD)
     assert len(run.times) == len(run.leader) == len(run.follower) == 80
     np.testing.assert_array_equal(run.leader, run.follower)
     assert run.energies[0].tolist() == [0.0, 0.0] and run.kept_from == pytest.approx(30 * PERIOD)

@@ -5,7 +5,13 @@ import pytest
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.lab.studies.scene_generator import AREA, MARGIN, ROBOT, Mismatch, blocks, scene
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, judge, outside
+from omniman_ros.lab.studies.scene_geometry import (
+    Ellipse,
+    PolylineMotion,
+    RectangularOutline,
+    judge,
+    outside,
+)
 
 SCENES = [scene(seed) for seed in range(48)]
 STANDING = Mismatch()
@@ -29,11 +35,13 @@ def test_four_consecutive_scenes_combine_blocking_and_model_mismatch():
 
 def test_blocked_flag_matches_contact_on_the_straight_line():
     assert any(not made.blocked for made in SCENES)
-    share = np.linspace(0.0, 1.0, 4001)
+    fraction = np.linspace(0.0, 1.0, 4001)
     for made in SCENES:
-        line = np.outer(1.0 - share, made.start) + np.outer(share, made.goal)
+        line = np.outer(1.0 - fraction, made.start) + np.outer(fraction, made.goal)
         fixed = [o for o in made.obstacles if o.is_fixed]
-        hit = judge(share, line * [1.0, 1.0, 0.0], Box(1e-6, 1e-6), fixed).collided
+        hit = judge(
+            fraction, line * [1.0, 1.0, 0.0], RectangularOutline(1e-6, 1e-6), fixed
+        ).collided
         assert hit == made.blocked
 
 

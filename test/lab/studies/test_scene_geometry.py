@@ -6,17 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omniman_ros.lab.studies.scene_geometry import (
-    Box,
     Ellipse,
     PolylineMotion,
-    Wall,
+    RectangularOutline,
+    WallRectangle,
     ellipse_gaps,
     judge,
     outside,
     wall_gap,
 )
 
-BOX = Box(0.8, 0.5)
+BOX = RectangularOutline(0.8, 0.5)
 places = st.floats(-1.5, 1.5)
 angles = st.floats(-math.pi, math.pi)
 sizes = st.floats(0.05, 0.6)
@@ -47,17 +47,17 @@ def ellipse_points(center, axes, angle, count=4000):
 
 
 def edge_points(pose, box, count=400):
-    share = np.linspace(-1.0, 1.0, count)
+    fraction = np.linspace(-1.0, 1.0, count)
     i, j = box.half
     one = np.ones(count)
     edges = np.concatenate(
         [
             np.stack(p, axis=1)
             for p in (
-                (i * share, j * one),
-                (i * share, -j * one),
-                (i * one, j * share),
-                (-i * one, j * share),
+                (i * fraction, j * one),
+                (i * fraction, -j * one),
+                (i * one, j * fraction),
+                (-i * one, j * fraction),
             )
         ]
     )
@@ -99,11 +99,11 @@ def test_gap_to_an_ellipse_is_the_distance_of_its_nearest_point(x, y, heading, a
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(places, places, angles, st.floats(0.02, 2.0), st.floats(0.02, 2.0), angles)
 def test_gap_to_a_wall_is_the_distance_of_its_nearest_point(x, y, heading, length, width, angle):
-    pose, wall = (x, y, heading), Wall(0.0, 0.0, angle, length, width)
+    pose, wall = (x, y, heading), WallRectangle(0.0, 0.0, angle, length, width)
     there = (0.0, 0.0, angle)
     apart = min(
-        from_box(edge_points(there, Box(length, width)), pose).min(),
-        from_box(edge_points(pose, BOX), there, Box(length, width)).min(),
+        from_box(edge_points(there, RectangularOutline(length, width)), pose).min(),
+        from_box(edge_points(pose, BOX), there, RectangularOutline(length, width)).min(),
     )
     got = gap_to(pose, wall)
     if apart == 0.0:

@@ -15,7 +15,7 @@ from omniman_ros.lab.studies.tool_courses import start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
     MOST_DEMANDING,
     WHEELS,
-    Case,
+    ToolPathCase,
     ToolPathLoop,
     rms,
 )
@@ -66,7 +66,7 @@ def drive(case, arm=None):
 
 @cache
 def harsh(on):
-    return drive(Case("S", WHEELS[MOST_DEMANDING], ON if on else OFF))
+    return drive(ToolPathCase("S", WHEELS[MOST_DEMANDING], ON if on else OFF))
 
 
 @pytest.mark.exhaustive
@@ -81,7 +81,7 @@ def test_correction_removes_most_of_the_error_of_the_platform():
 
 
 def test_timed_point_counts_and_not_the_nearest():
-    case = Case("straight", WHEELS["PI"], OFF)
+    case = ToolPathCase("straight", WHEELS["PI"], OFF)
     motion = planned("straight")
     late = drive(case, Arm(motion.curve.positions[0, 3:], late=10))
     on_time = drive(case)
@@ -107,4 +107,4 @@ def test_arm_that_takes_no_preview_ends_the_drive():
             raise InputError("too far")
 
     with pytest.raises(StudyError, match=r"wheels of the demo: arm/joint_reference: too far"):
-        drive(Case("S", WHEELS["PI"], ON), arm=Refusing(start()[3:]))
+        drive(ToolPathCase("S", WHEELS["PI"], ON), arm=Refusing(start()[3:]))

@@ -29,7 +29,7 @@ def random_path(seed: int, poses: int | None = None) -> np.ndarray:
     return np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
 
 
-def shares(groups, positions_at, velocities, accelerations) -> dict[str, float]:
+def fractions(groups, positions_at, velocities, accelerations) -> dict[str, float]:
     """Return the largest used fraction of each limit; the jerk is constant between ticks."""
     jerks = np.diff(accelerations, axis=0) / DT
     return {
@@ -56,11 +56,11 @@ def assert_smooth_within_limits(groups, positions, velocities, accelerations) ->
     Between two ticks the acceleration lies on the straight line between its end values, and the
     velocity is a parabola, which is checked in fine steps.
     """
-    used = shares(groups, positions, velocities, accelerations)
+    used = fractions(groups, positions, velocities, accelerations)
     assert max(used.values()) <= 1.0 + ROUND_OFF, used
     assert continuity(positions, velocities, accelerations) < 1e-9
-    for share in np.linspace(0.0, 1.0, 6)[1:-1]:
-        s = share * DT
+    for fraction in np.linspace(0.0, 1.0, 6)[1:-1]:
+        s = fraction * DT
         between = velocities[:-1] + s * accelerations[:-1]
         between = between + s * s / (2 * DT) * np.diff(accelerations, axis=0)
         fastest = max(float((g.norm(between) / g.velocity).max()) for g in groups)
@@ -82,8 +82,8 @@ def off_path(positions: np.ndarray, points: np.ndarray) -> np.ndarray:
     """
     starts, steps = points[:-1], np.diff(points, axis=0)
     square = np.maximum((steps[:, :2] ** 2).sum(1), 1e-300)
-    share = ((positions[:, None, :2] - starts[:, :2]) * steps[:, :2]).sum(2) / square
-    share = np.clip(share, 0.0, 1.0)
-    feet = starts[:, :2] + share[..., None] * steps[:, :2]
+    fraction = ((positions[:, None, :2] - starts[:, :2]) * steps[:, :2]).sum(2) / square
+    fraction = np.clip(fraction, 0.0, 1.0)
+    feet = starts[:, :2] + fraction[..., None] * steps[:, :2]
     distance = np.hypot(*np.moveaxis(positions[:, None, :2] - feet, 2, 0))
     return distance.min(axis=1)

@@ -377,8 +377,8 @@ def test_no_wheel_exceeds_its_permitted_speed():
     rows = driver.run_to_the_end()
     jacobian = PlatformKinematics(robot.wheels).J
     wheels = np.array([jacobian @ to_robot(row[2], row[3:6]) for row in rows])
-    share = np.abs(wheels).max() / robot.motor.max_speed
-    assert 0.8 < share <= 0.905
+    fraction = np.abs(wheels).max() / robot.motor.max_speed
+    assert 0.8 < fraction <= 0.905
 
 
 @pytest.mark.parametrize("seed", range(6))

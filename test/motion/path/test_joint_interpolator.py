@@ -173,8 +173,8 @@ def test_a_pause_stops_on_the_path_and_can_be_resumed(given_time, after):
     rows = arm.run_to_the_end()
     arm.assert_smooth()
     assert (rows[-1, :6] == goal).all()
-    share = (np.array(arm.rows)[:, [0, 1, 4]] - HOME[[0, 1, 4]]) / (goal - HOME)[[0, 1, 4]]
-    assert np.ptp(share, axis=1).max() < 1e-9, "the arm stays on its path"
+    fraction = (np.array(arm.rows)[:, [0, 1, 4]] - HOME[[0, 1, 4]]) / (goal - HOME)[[0, 1, 4]]
+    assert np.ptp(fraction, axis=1).max() < 1e-9, "the arm stays on its path"
 
 
 def test_requests_that_the_state_does_not_allow_are_refused(arm):

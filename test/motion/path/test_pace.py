@@ -4,17 +4,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from omniman_ros.motion.path.axis_group import AxisGroup
-from omniman_ros.motion.path.pace import LEAD, Demand, Pace
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
 from omniman_ros.motion.path.trajectory import Trajectory
 from test.motion.path.support import DT, axes, planned, random_path
 
 
 def unlimited_pace() -> Pace:
-    return Pace(lambda times: Demand.none(len(times)), DT)
+    return Pace(lambda times: LimitUsage.none(len(times)), DT)
 
 
 def pace_over(trajectory: Trajectory, groups: tuple[AxisGroup, ...]) -> Pace:
-    return Pace(lambda times: Demand.of(groups, *trajectory.sample(times)[1:]), DT)
+    return Pace(lambda times: LimitUsage.of(groups, *trajectory.sample(times)[1:]), DT)
 
 
 def test_motion_time_equals_real_time_until_a_pace_is_requested():

@@ -8,10 +8,10 @@ from test.motion.path.support import (
     DT,
     assert_smooth_within_limits,
     axes,
+    fractions,
     off_path,
     planned,
     random_path,
-    shares,
 )
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 1], [0, 2, 1], [0, 0, 0]], dtype=float)
@@ -64,7 +64,7 @@ def test_the_duration_of_a_path_with_corners_is_near_its_bound():
 
 
 def test_the_limits_are_exploited():
-    used = shares(axes(), None, *_derivatives(planned(SQUARE)[1]))
+    used = fractions(axes(), None, *_derivatives(planned(SQUARE)[1]))
     assert used["velocity"] > 0.999 and used["acceleration"] > 0.99
 
 

@@ -37,8 +37,8 @@ def test_no_omitted_point_deviates_by_more_than_the_scale(seed):
     for a, b in itertools.pairwise(at):
         chord = (poses[b] - poses[a]) / SCALE
         for point in (poses[a + 1 : b] - poses[a]) / SCALE:
-            share = np.clip(point @ chord / (chord @ chord), 0, 1)
-            assert np.abs(point - share * chord).max() <= 1.0 + 1e-9
+            fraction = np.clip(point @ chord / (chord @ chord), 0, 1)
+            assert np.abs(point - fraction * chord).max() <= 1.0 + 1e-9
 
 
 def test_a_return_along_the_same_line_is_kept():

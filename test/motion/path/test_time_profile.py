@@ -18,8 +18,8 @@ def curve_of(points):
 def largest_used_fraction(curve, profile, samples=5):
     """Return the largest used fraction of the limits, at the nodes and between them."""
     u = np.linspace(profile.nodes[:-1] + 1e-12, profile.nodes[1:] - 1e-12, samples)
-    share = (u - profile.nodes[:-1]) / np.diff(profile.nodes)
-    square = profile.squares[:-1] + share * np.diff(profile.squares)
+    fraction = (u - profile.nodes[:-1]) / np.diff(profile.nodes)
+    square = profile.squares[:-1] + fraction * np.diff(profile.squares)
     rate = 0.5 * np.diff(profile.squares) / np.diff(profile.nodes)
     used = 0.0
     for row in range(samples):
@@ -101,11 +101,11 @@ def test_a_stop_from_anywhere_keeps_the_limits_and_ends_before_the_path(seed):
     curve = curve_of(random_path(seed))
     profiler = TimeProfiler(GROUPS)
     profile = profiler.fastest(curve)
-    for share in np.linspace(0.02, 0.98, 9):
-        u, rate = (float(x[0]) for x in profile.at(np.array([share * profile.duration])))
+    for fraction in np.linspace(0.02, 0.98, 9):
+        u, rate = (float(x[0]) for x in profile.at(np.array([fraction * profile.duration])))
         stop = profiler.quickest_stop(curve, u, rate)
         assert largest_used_fraction(curve, stop)[0] <= 1.0 + 1e-6
-        assert stop.duration <= (1 - share) * profile.duration + 1e-6
+        assert stop.duration <= (1 - fraction) * profile.duration + 1e-6
         assert stop.nodes[0] == u and stop.squares[0] == rate * rate and stop.squares[-1] == 0.0
         assert stop.nodes[-1] <= curve.end + 1e-9
 
@@ -115,11 +115,13 @@ def test_continuing_from_any_point_gives_the_same_motion(seed):
     curve = curve_of(random_path(seed))
     profiler = TimeProfiler(GROUPS)
     profile = profiler.fastest(curve)
-    for share in (0.1, 0.35, 0.6, 0.9):
-        u, rate = (float(x[0]) for x in profile.at(np.array([share * profile.duration])))
+    for fraction in (0.1, 0.35, 0.6, 0.9):
+        u, rate = (float(x[0]) for x in profile.at(np.array([fraction * profile.duration])))
         rest = profiler.fastest(curve, u, rate)
         assert rest is not None
-        assert rest.duration == pytest.approx((1 - share) * profile.duration, rel=1e-3, abs=1e-4)
+        assert rest.duration == pytest.approx(
+            (1 - fraction) * profile.duration, rel=1e-3, abs=1e-4
+        )
 
 
 def test_a_speed_too_high_to_stop_is_reported():

@@ -12,9 +12,9 @@ from omniman_ros.motion.path.trajectory_goal import (
     Ending,
     ErrorCode,
     GoalMonitor,
+    GoalResult,
     GoalTolerances,
     TrajectoryActionOptions,
-    Verdict,
 )
 
 NAMES = ("odom_x", "odom_y", "odom_t", "elbow_joint")
@@ -180,7 +180,7 @@ def test_a_heading_is_compared_modulo_whole_turns():
         assert np.allclose(watch.error(wanted, measured), axis("odom_t", -0.09))
         there = axis("odom_t", 4.0 + 2.0 * math.pi * turns)
         verdict = watch.update(0.1, None, (there, ZERO), "")
-        assert verdict == Verdict(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
+        assert verdict == GoalResult(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
         joint = monitor(uniform(0.1))
         turned = axis("elbow_joint", 2.0 * math.pi * turns)
         joint.update(0.0, AT_REST, (turned, ZERO), None)
@@ -221,7 +221,7 @@ def test_a_goal_ends_when_it_is_reached_or_its_goal_time_elapses():
             if k < end:
                 assert verdict is None
             elif not off[k]:
-                assert verdict == Verdict(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
+                assert verdict == GoalResult(Ending.SUCCEEDED, ErrorCode.SUCCESSFUL, "")
             elif late > patience + 1e-9:
                 assert verdict is not None
                 assert verdict.code is ErrorCode.GOAL_TOLERANCE_VIOLATED
@@ -265,7 +265,7 @@ def test_a_jump_back_in_time_restarts_the_wait():
 
 def test_a_motion_that_ended_early_aborts_the_goal_with_its_reason():
     verdict = monitor().update(0.0, AT_REST, AT_REST, "given up: no odom for 0.20 s")
-    expected = Verdict(Ending.ABORTED, ErrorCode.INVALID_GOAL, "given up: no odom for 0.20 s")
+    expected = GoalResult(Ending.ABORTED, ErrorCode.INVALID_GOAL, "given up: no odom for 0.20 s")
     assert verdict == expected
 
 

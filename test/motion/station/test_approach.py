@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.motion.station.keeper import approach_speed, way_around
+from omniman_ros.motion.station.keeper import approach_speed, path_around
 
 RADIUS = 1.2
 
@@ -25,15 +25,15 @@ def test_approach_speed_is_smooth_where_its_two_parts_meet():
 
 
 def test_free_way_is_the_straight_line():
-    length, direction = way_around((-3.0, -2.0), (0.0, -1.3), RADIUS)
+    length, direction = path_around((-3.0, -2.0), (0.0, -1.3), RADIUS)
     assert length == pytest.approx(math.hypot(3.0, 0.7))
     assert direction == pytest.approx((3.0 / length, 0.7 / length))
-    assert way_around((1.0, 2.0), (1.0, 2.0), RADIUS) == (0.0, (0.0, 0.0))
+    assert path_around((1.0, 2.0), (1.0, 2.0), RADIUS) == (0.0, (0.0, 0.0))
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_way_to_the_other_side_leads_around_the_disc_by_the_shorter_side(side):
-    length, direction = way_around((-3.0, 0.0), (1.3, side * 0.1), RADIUS)
+    length, direction = path_around((-3.0, 0.0), (1.3, side * 0.1), RADIUS)
     tangent = math.asin(RADIUS / 3.0)
     assert direction == pytest.approx((math.cos(tangent), side * math.sin(tangent)))
     far = math.hypot(1.3, 0.1)
@@ -49,10 +49,10 @@ def test_way_that_is_followed_stays_outside_of_the_disc_and_has_the_length_that_
             random.uniform(RADIUS * 1.001, 4.0) * np.array([math.cos(a), math.sin(a)])
             for a in random.uniform(-math.pi, math.pi, 2)
         )
-        stated, _ = way_around(tuple(start), tuple(goal), RADIUS)
+        stated, _ = path_around(tuple(start), tuple(goal), RADIUS)
         place, step, walked = start, 0.002, 0.0
         while np.hypot(*(goal - place)) > step:
-            _, direction = way_around(tuple(place), tuple(goal), RADIUS)
+            _, direction = path_around(tuple(place), tuple(goal), RADIUS)
             place = place + step * np.array(direction)
             walked += step
             assert np.hypot(*place) > RADIUS - 1e-3
@@ -61,5 +61,5 @@ def test_way_that_is_followed_stays_outside_of_the_disc_and_has_the_length_that_
 
 
 def test_way_from_inside_the_disc_begins_along_its_edge():
-    _, direction = way_around((-1.0, 0.0), (1.3, 0.1), RADIUS)
+    _, direction = path_around((-1.0, 0.0), (1.3, 0.1), RADIUS)
     assert direction == pytest.approx((0.0, 1.0), abs=1e-12)

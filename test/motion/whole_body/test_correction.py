@@ -152,8 +152,8 @@ def test_at_most_the_largest_error_is_corrected(direction):
     last_time = feed_error(correction, lambda t: 0.2 * np.array(direction))
     assert correction.error_ratio > 1.0
     error = error_at_times(correction, last_time)[0]
-    share = max(math.hypot(*error[:2]) / 0.02, abs(error[2]) / 0.04)
-    assert share == pytest.approx(1.0)
+    fraction = max(math.hypot(*error[:2]) / 0.02, abs(error[2]) / 0.04)
+    assert fraction == pytest.approx(1.0)
     assert np.cross(error, direction) == pytest.approx(np.zeros(3), abs=1e-9)
 
 

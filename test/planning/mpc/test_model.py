@@ -11,8 +11,8 @@ from omniman_ros.planning.mpc.model import PlanningModel
 from test import robots
 from test.planning.support import model
 
+#: Changes of a robot without dry friction
 DRY = {"friction.coulomb": [0.0], "friction.roller": [0.0]}
-"""Changes of a robot without dry friction."""
 
 
 def rate_of(planning: PlanningModel) -> ca.Function:

@@ -7,7 +7,7 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES
 from omniman_ros.planning.obstacles.ellipses import inflated
@@ -28,7 +28,7 @@ def a_line(vx=0.5, vy=0.0, w=0.0):
     times = NOW + STEP * np.arange(STEPS + 1)
     velocity = np.array([vx, vy, w], float)
     poses = (times[:, None] - NOW) * velocity
-    return Motion(times, poses, np.tile(velocity, (STEPS + 1, 1)), np.zeros((STEPS, 4)))
+    return HermiteTrajectory(times, poses, np.tile(velocity, (STEPS + 1, 1)), np.zeros((STEPS, 4)))
 
 
 def stage_of(problem, start=None, guess=None, goal=None, around=None):
@@ -61,12 +61,12 @@ def test_limits_are_the_parameters_minus_the_reserve():
     assert (limits[:, 5] <= p.limits.angular_acceleration).all()
 
 
-@pytest.mark.parametrize("share", [1.0, 0.5, 0.1, 0.01])
+@pytest.mark.parametrize("fraction", [1.0, 0.5, 0.1, 0.01])
 @pytest.mark.parametrize("angle", np.linspace(0, np.pi / 3, 5))
-def test_robot_above_its_speed_limit_may_not_accelerate_further(share, angle):
+def test_robot_above_its_speed_limit_may_not_accelerate_further(fraction, angle):
     # Each plan is allowed no more than the last; otherwise speed would add up over cycles.
     problem = a_problem()
-    problem.limits = EffectiveLimits(parameters(), share)
+    problem.limits = EffectiveLimits(parameters(), fraction)
     fastest = problem.limits.parameters.limits.linear_velocity
     for speed in (0.5 * fastest, 1.0 * fastest, 1.5 * fastest):
         start = [0, 0, 0, speed * math.cos(angle), speed * math.sin(angle), 0.5]
@@ -75,12 +75,12 @@ def test_robot_above_its_speed_limit_may_not_accelerate_further(share, angle):
         spokes = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES + stage.direction
         row = (np.cos(spokes) * start[3] + np.sin(spokes) * start[4]).max()
         row /= np.cos(np.pi / SIDES)
-        most = 0.85 * share * fastest
+        most = 0.85 * fraction * fastest
         assert limits[0, 0] <= max(row, most) + 1e-9
         assert (np.diff(limits[:, 0]) <= 1e-12).all()
         # The limits are feasible: they fall no faster than the robot may brake.
         drop = -np.diff(np.append(row, limits[:, 0]))
-        assert drop.max() <= share * fastest * STEP + 1e-9
+        assert drop.max() <= fraction * fastest * STEP + 1e-9
 
 
 def test_limit_scale_applies_to_velocities_and_accelerations():

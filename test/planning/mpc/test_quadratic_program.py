@@ -7,8 +7,8 @@ import pytest
 
 from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
 
+#: Unknowns x_0, u_0, x_1: rows x_0 + u_0 - x_1 = 0 and u_0 within bounds
 SIZES = {"N": 1, "nx": [1, 1], "nu": [1, 0], "ng": [1, 0]}
-"""Unknowns x_0, u_0, x_1: rows x_0 + u_0 - x_1 = 0 and u_0 within bounds."""
 A = np.array([[1.0, 1.0, -1.0], [0.0, 1.0, 0.0]])
 PARTS = ("h", "g", "a", "low", "high", "lower", "upper")
 

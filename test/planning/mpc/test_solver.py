@@ -9,7 +9,7 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import TRUST_RADIUS, Solution, Solver, SolverError
@@ -21,8 +21,7 @@ from test.tiers import combinations
 STEPS, STEP, SLOTS = 20, 0.1, 2
 
 
-FIRM = 16.0
-"""Damping with which iterations converge where full steps go around in circles."""
+FIRM = 16.0  #: Damping with which iterations converge where full steps go around in circles
 
 
 @cache
@@ -44,7 +43,9 @@ def converged(using, stage, start=None):
 def stage_of(name, goal, start=None, around=None, **changes):
     """Return problem parameters as the planner sets them for a robot at rest at a pose."""
     begin = np.zeros(6) if start is None else start
-    along = Motion.of_states(0.0, STEP, np.tile(begin, (STEPS + 1, 1)), np.zeros((STEPS, 1)))
+    along = HermiteTrajectory.of_states(
+        0.0, STEP, np.tile(begin, (STEPS + 1, 1)), np.zeros((STEPS, 1))
+    )
     p = parameters(name, **changes)
     problem = Problem(PlanningModel.of(p.robot), EffectiveLimits(p))
     pairs = Pairs.of(Footprint(Rectangles.centred(problem.model.half)), around or ellipses())

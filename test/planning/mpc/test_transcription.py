@@ -15,8 +15,7 @@ from test import robots
 from test.planning.support import ellipses, model, true_gaps
 
 STEPS, STEP, SLOTS = 4, 0.1, 2
-WIDE = 1e3
-"""A limit that holds nothing back."""
+WIDE = 1e3  #: A limit that holds nothing back
 
 
 @cache

@@ -7,7 +7,7 @@ import pytest
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
@@ -20,16 +20,15 @@ WIDE = (-9.0, -9.0, 9.0, 9.0)
 DECELERATION = (1.5, 4.0)
 NOW = 5.0
 MARGIN = 0.02
-RADIUS = 0.036
-"""Of a disc that covers a cell of 5 cm."""
+RADIUS = 0.036  #: Of a disc that covers a cell of 5 cm
 
 
 def a_wall(*ends):
     """Return a wall of discs 5 cm apart through the given points."""
     first, last = np.array(ends, float)
     count = round(float(np.hypot(*(last - first))) / 0.05) + 1
-    share = np.linspace(0.0, 1.0, count)[:, None]
-    return Walls(first + share * (last - first), RADIUS)
+    fraction = np.linspace(0.0, 1.0, count)[:, None]
+    return Walls(first + fraction * (last - first), RADIUS)
 
 
 AHEAD = a_wall((1.5, -1.0), (1.5, 1.0))
@@ -45,7 +44,7 @@ def a_line(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
     times = np.arange(0.0, seconds + 1e-9, 0.1)
     poses = np.array(start) + times[:, None] * np.array(velocity, float)
     velocities = np.tile(np.array(velocity, float), (len(times), 1))
-    return Motion(NOW + times, poses, velocities, np.zeros((len(times) - 1, 4)))
+    return HermiteTrajectory(NOW + times, poses, velocities, np.zeros((len(times) - 1, 4)))
 
 
 def a_stop(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
@@ -154,7 +153,7 @@ def test_walls_far_from_the_motion_cause_no_contact():
 
 def test_robot_at_rest_next_to_a_wall_has_no_contact():
     for gap in (0.1, 0.001, -0.01):
-        still = Motion.rest(NOW, np.array([1.5 - RADIUS - HALF[0] - gap, 0.0, 0.0]), 4)
+        still = HermiteTrajectory.rest(NOW, np.array([1.5 - RADIUS - HALF[0] - gap, 0.0, 0.0]), 4)
         assert around(until=NOW + 2.0).contact(still, NOW) == math.inf
 
 

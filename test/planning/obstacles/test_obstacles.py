@@ -134,13 +134,13 @@ def test_moving_obstacle_is_extrapolated_to_now():
     assert ahead[0, 0] == pytest.approx((0.8 * 2.8, -0.4 * 2.8), abs=3e-3)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5])
-def test_margin_of_an_obstacle_grows_with_its_speed(share):
-    found = obstacles(growth=share)
+@pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5])
+def test_margin_of_an_obstacle_grows_with_its_speed(fraction):
+    found = obstacles(growth=fraction)
     watch(found, 0.0, 5.0, (1.2, -0.5))
     growth = found.ellipses(5.0).growth[0]
-    assert growth == pytest.approx(share * 1.3, abs=0.015)
-    assert growth > share * 1.3
+    assert growth == pytest.approx(fraction * 1.3, abs=0.015)
+    assert growth > fraction * 1.3
 
 
 def test_margin_of_a_standing_obstacle_hardly_grows():

@@ -12,7 +12,7 @@ from omniman_ros.planning.obstacles.separation import (
     first_contact,
     outside_by,
     swept_gap,
-    within_reach,
+    within_distance,
 )
 from test.work import calls
 
@@ -275,8 +275,8 @@ def test_swept_gap_is_a_lower_bound_along_the_motion(dt):
     assert below > 100  # the bound is useful: it proves many motions free
 
 
-@pytest.mark.parametrize(("dt", "share", "loss"), [(0.02, 0.03, 0.001), (0.05, 0.05, 0.004)])
-def test_few_close_passes_are_reported_as_contact(dt, share, loss):
+@pytest.mark.parametrize(("dt", "fraction", "loss"), [(0.02, 0.03, 0.001), (0.05, 0.05, 0.004)])
+def test_few_close_passes_are_reported_as_contact(dt, fraction, loss):
     rng = np.random.default_rng(7)
     lost, free = [], 0
     for _ in range(300):
@@ -293,7 +293,7 @@ def test_few_close_passes_are_reported_as_contact(dt, share, loss):
     losses, alarms = np.array(lost).T
     assert free > 300
     assert np.median(losses) < loss
-    assert alarms.mean() < share
+    assert alarms.mean() < fraction
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.3, -0.6])
@@ -396,7 +396,7 @@ def test_swept_gap_with_nan_is_not_positive(which, value):
 @pytest.mark.parametrize(
     "times", [[], [0.0], [0.0, 0.0], [0.0, 2.0, 1.0], [0.0, math.nan, 1.0], [0.0, math.inf]]
 )
-@pytest.mark.parametrize("function", [swept_gap, within_reach, first_contact])
+@pytest.mark.parametrize("function", [swept_gap, within_distance, first_contact])
 def test_times_that_do_not_increase_are_refused(function, times):
     times = np.array(times)
     with pytest.raises(InputError, match="times that increase are needed, got"):
@@ -438,7 +438,7 @@ def test_results_without_obstacles_have_zero_length_axes():
     times, poses, velocities = winding(5)
     none = Ellipses.none()
     assert swept_gap(times, poses, velocities, BOX, none).shape == (4, 0)
-    assert within_reach(times, poses, velocities, BOX, none).shape == (0,)
+    assert within_distance(times, poses, velocities, BOX, none).shape == (0,)
     assert box_gap(poses, BOX, none.centers_at(times), none.axes_at(times), none.angles).shape == (
         5,
         0,
@@ -472,7 +472,7 @@ def test_obstacle_with_nan_is_a_contact_at_once(field, value):
     times, poses, velocities = winding()
     ellipses = one((40, 40))
     getattr(ellipses, field)[0] = value
-    assert within_reach(times, poses, velocities, BOX, ellipses).all()
+    assert within_distance(times, poses, velocities, BOX, ellipses).all()
     assert first_contact(times, poses, velocities, BOX, ellipses) == times[0]
 
 
@@ -481,7 +481,7 @@ def test_obstacle_with_nan_is_a_contact_at_once(field, value):
 def test_every_obstacle_is_within_reach_of_a_box_with_nan(which, column):
     times, poses, velocities = winding()
     {"poses": poses, "velocities": velocities}[which][7, column] = math.nan
-    assert within_reach(times, poses, velocities, BOX, one((40, 40))).all()
+    assert within_distance(times, poses, velocities, BOX, one((40, 40))).all()
 
 
 def test_obstacle_with_nan_angle_is_within_reach_if_near():
@@ -498,7 +498,7 @@ def test_only_obstacles_that_stay_clear_are_left_out():
         ellipses = crowd(rng, 50, spread=8.0)
         margin = rng.uniform(0, 0.2)
         few = slice(None, None, 50)  # obstacles between the samples count too
-        near = within_reach(times[few], poses[few], velocities[few], BOX, ellipses, margin)
+        near = within_distance(times[few], poses[few], velocities[few], BOX, ellipses, margin)
         far = ellipses.select(~near)
         axes = far.axes_at(times, margin)
         gaps = box_gap(poses, BOX, far.centers_at(times), axes, far.angles)
@@ -516,7 +516,7 @@ def test_obstacle_that_moves_towards_the_box_is_within_reach():
     away = one((-10, 0), velocity=(-5.0, 0))
     grown = one((-10, 0), growth=2.5)
     reached = [
-        within_reach(times, poses, velocities, BOX, e).all() for e in (there, past, away, grown)
+        within_distance(times, poses, velocities, BOX, e).all() for e in (there, past, away, grown)
     ]
     assert reached == [True, False, False, True]
 
@@ -525,7 +525,7 @@ def test_box_that_moves_forth_and_back_between_samples_reaches_obstacles_there()
     times, poses = np.array([0.0, 1.0]), np.zeros((2, 3))
     velocities = np.array([[4.0, 0, 0], [-4.0, 0, 0]])  # 1 m forth and back
     post = one((1.5, 0), axes=(0.15, 0.15))
-    assert within_reach(times, poses, velocities, BOX, post).all()
+    assert within_distance(times, poses, velocities, BOX, post).all()
     assert first_contact(times, poses, velocities, BOX, post) == 0.0
 
 
@@ -557,8 +557,8 @@ def test_of_ten_thousand_obstacles_only_those_near_are_checked_in_full(monkeypat
     assert 0 < count < 50
     # The choice itself is one of whole arrays.
     few = ellipses.select(np.arange(10_000) < 10)
-    choice = calls(lambda: within_reach(*motion, BOX, ellipses))
-    assert choice == calls(lambda: within_reach(*motion, BOX, few))
+    choice = calls(lambda: within_distance(*motion, BOX, ellipses))
+    assert choice == calls(lambda: within_distance(*motion, BOX, few))
 
 
 # ---- outside_by -------------------------------------------------------------------------------

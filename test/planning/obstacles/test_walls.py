@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.planning.motion import Motion
-from omniman_ros.planning.obstacles.walls import CHUNK, REACH, Walls
+from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.obstacles.walls import CHUNK, MAX_COMPUTED_GAP, Walls
 
 HALF = np.array([0.4, 0.25])
 BOX = Rectangles.centred(HALF)
@@ -45,7 +45,7 @@ def a_swing(random, count=13, step=0.1):
     middle = 0.5 * (velocities[:-1] + velocities[1:])
     first = random.uniform(-1.5, 1.5, 3)
     poses = np.vstack([first, first + step * np.cumsum(middle, axis=0)])
-    return Motion(step * np.arange(count), poses, velocities, np.zeros((count - 1, 4)))
+    return HermiteTrajectory(step * np.arange(count), poses, velocities, np.zeros((count - 1, 4)))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -54,8 +54,8 @@ def test_gaps_are_exact_up_to_their_reach(seed):
     walls, poses = some_walls(random), some_poses(random)
     expected = true_gaps(walls, poses)
     found = walls.gaps(poses, BOX)
-    np.testing.assert_allclose(found, np.minimum(expected, REACH), atol=1e-12)
-    assert (expected > REACH).any() and (expected < 0.0).any()
+    np.testing.assert_allclose(found, np.minimum(expected, MAX_COMPUTED_GAP), atol=1e-12)
+    assert (expected > MAX_COMPUTED_GAP).any() and (expected < 0.0).any()
 
 
 def test_gap_to_one_disc_matches_values_computed_by_hand():
@@ -71,10 +71,10 @@ def test_gap_to_one_disc_matches_values_computed_by_hand():
         ]
     )
     np.testing.assert_allclose(
-        walls.gaps(poses, BOX), [0.15, 0.1, 0.1, 0.0, -0.15, REACH], atol=1e-12
+        walls.gaps(poses, BOX), [0.15, 0.1, 0.1, 0.0, -0.15, MAX_COMPUTED_GAP], atol=1e-12
     )
     far = np.tile(poses[-1], (CHUNK, 1))
-    np.testing.assert_array_equal(walls.gaps(far, BOX), REACH)
+    np.testing.assert_array_equal(walls.gaps(far, BOX), MAX_COMPUTED_GAP)
     assert walls.gaps(np.vstack([far, poses]), BOX)[CHUNK] == pytest.approx(0.15)
 
 
@@ -95,7 +95,9 @@ def test_gaps_to_many_discs_are_exact():
         true_gaps(Walls(walls.centers[beside], walls.radius), pose[None])[0]
         for pose, beside in zip(poses, near, strict=True)
     ]
-    np.testing.assert_allclose(walls.gaps(poses, BOX), np.minimum(expected, REACH), atol=1e-12)
+    np.testing.assert_allclose(
+        walls.gaps(poses, BOX), np.minimum(expected, MAX_COMPUTED_GAP), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -114,7 +116,7 @@ def test_pose_that_is_not_finite_has_no_gap_and_does_not_affect_others(bad):
 def test_gaps_without_walls_or_poses_are_defined():
     none = Walls.none()
     assert len(none) == 0 and len(none.ellipses(1.0)) == 0 and len(none.near(np.zeros(2), 9)) == 0
-    np.testing.assert_array_equal(none.gaps(np.zeros((3, 3)), BOX), [REACH] * 3)
+    np.testing.assert_array_equal(none.gaps(np.zeros((3, 3)), BOX), [MAX_COMPUTED_GAP] * 3)
     assert Walls(np.zeros((1, 2)), 0.1).gaps(np.zeros((0, 3)), BOX).shape == (0,)
     assert none.gaps(np.zeros((0, 3)), BOX).shape == (0,)
 

@@ -9,8 +9,7 @@ from omniman_ros.planning.route.route import Route
 from test import robots
 from test.planning.support import model, parameters
 
-SPEEDS = EffectiveLimits(parameters()).speeds
-"""Linear [m/s] and angular speed [rad/s]."""
+SPEEDS = EffectiveLimits(parameters()).speeds  #: Linear [m/s] and angular speed [rad/s]
 
 
 def sideways(distance, heading=0.0):
@@ -156,9 +155,9 @@ def test_choice_is_invariant_to_rotation_and_translation():
     assert energy(robot, there) == pytest.approx(energy(robot, here), rel=1e-6)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.01])
-def test_zero_length_routes_and_turns_on_the_spot_are_unchanged(share):
-    robot, speeds = model("ig42"), EffectiveLimits(parameters(), share).speeds
+@pytest.mark.parametrize("fraction", [1.0, 0.01])
+def test_zero_length_routes_and_turns_on_the_spot_are_unchanged(fraction):
+    robot, speeds = model("ig42"), EffectiveLimits(parameters(), fraction).speeds
     here = np.array([1.0, 2.0, 3.0])
     for turned in (0.0, 1e-12, 3.1, -3.1):
         goal = here + [0.0, 0.0, turned]

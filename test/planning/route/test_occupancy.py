@@ -8,7 +8,7 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.route.lattice import Frame, Lattice, Region
+from omniman_ros.planning.route.lattice import Lattice, LatticeFrame, Region
 from omniman_ros.planning.route.occupancy import HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
 from test.planning.support import ellipses
@@ -30,7 +30,7 @@ def filled(obstacles, grid, yaw, room=(1.0, 1.0), footprint=FOOTPRINT):
     start, goal = np.array([-0.5, 0.3, 0.1]), np.array([2.5, 0.2, 1.0])
     known = Ellipses.none() if obstacles is None else obstacles
     problem = RouteProblem(start, goal, footprint, 0.1, (1.0, 1.0), known, grid, EDGE)
-    frame = Frame.of(start, grid, 0.05) if grid else Frame(start[:2], yaw, 0.05)
+    frame = LatticeFrame.of(start, grid, 0.05) if grid else LatticeFrame(start[:2], yaw, 0.05)
     region = Region.around(frame.own(problem.ends), 2.0, frame.extent(problem), frame.edge)
     lattice = Lattice(frame, region, HEADINGS, problem.ends, footprint.is_symmetric)
     marks = HeadingOccupancy(problem, lattice, np.array(room))

@@ -27,15 +27,13 @@ from test.planning.support import CYCLE, ellipses, model, parameters
 
 ROBOT = model("ig42")
 HALF = ROBOT.half
-WIDE = math.hypot(*HALF)
-"""Radius of the box [m]."""
+WIDE = math.hypot(*HALF)  #: Radius of the box [m]
 ROOM = {
     "workspace__x_min": -2.0,
     "workspace__x_max": 6.0,
     "workspace__y_min": -2.0,
     "workspace__y_max": 2.0,
-}
-"""Of 8 x 4 m."""
+}  #: Of 8 x 4 m
 
 
 def a_row(x, first, last, radius=0.15):
@@ -368,20 +366,20 @@ def test_pause_between_cycles_is_not_taken_for_stuck():
 # ---- live ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("share", [0.4, 0.01])
-def test_changed_limits_keep_the_place_on_the_route(share):
+@pytest.mark.parametrize("fraction", [0.4, 0.01])
+def test_changed_limits_keep_the_place_on_the_route(fraction):
     led = FollowedRoute((5.0, 0.0, 0.0), a_door(0.035), **ROOM)
     led.look(work=0)
     assert led.run(20.0, lambda: led.pose[0] > 1.9) and led.has_a_route()
     before, clearance = led.along(), led.planner.clearance(led.limits)
     assert clearance < led.p.safety.clearance
     here = before.targets(np.array([led.now]))[0]
-    led.limit_scale = share
+    led.limit_scale = fraction
     after = led.along()
-    assert after.route.speeds == EffectiveLimits(led.p, share).speeds
+    assert after.route.speeds == EffectiveLimits(led.p, fraction).speeds
     np.testing.assert_array_equal(after.route.poses, before.route.poses)
     np.testing.assert_allclose(after.targets(np.array([led.now]))[0], here, atol=1e-6)
-    assert after.position == pytest.approx(before.position / share, rel=1e-6)
+    assert after.position == pytest.approx(before.position / fraction, rel=1e-6)
     assert led.planner.clearance(led.limits) < led.p.safety.clearance, "it is still in the door"
     led.limit_scale = 1.0
     back = led.along()

@@ -20,8 +20,7 @@ RADIUS = math.hypot(0.4, 0.25)
 SPEEDS = (0.8, 1.5)
 MARGIN = 0.02
 WIDE = (-1e3, -1e3, 1e3, 1e3)
-EASED = 3 * RADIUS
-"""Within so much of a tight start or goal the margin is eased [m]."""
+EASED = 3 * RADIUS  #: Within so much of a tight start or goal the margin is eased [m]
 
 
 def wall(first, last, radius=0.05):

@@ -3,19 +3,19 @@
 import numpy as np
 
 from omniman_ros.collision.parameters import ToolShape
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.planning.whole_body.parameters import DodgeOptions
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.task import BodySetup
 from omniman_ros.robots import load_robot
 
+#: All axes at the start: the arm reaches to the left and forward
 START = np.array([0.0, 0.0, 0.0, 0.3, -1.2, 1.9, -2.2, -1.57, 0.0])
-"""All axes at the start: the arm reaches to the left and forward."""
 ROBOT = load_robot("omniman")
 
 
@@ -28,7 +28,7 @@ def setup(**changes):
         ToolShape(),
         None,
         path.tool_path,
-        build(DodgeOptions, changes),
+        build(AvoidanceOptions, changes),
     )
 
 
@@ -42,8 +42,8 @@ def straight(length):
 
 def posts(*places):
     """Return posts of 10 cm radius that stand at places (x, y)."""
-    return Hindrances(
-        standing=UprightSolids.join(
-            [UprightSolids.cylinder(x, y, 0.1, (0.0, 1.2)) for x, y in places]
+    return ObstacleSnapshot(
+        standing=UprightObstacles.join(
+            [UprightObstacles.cylinder(x, y, 0.1, (0.0, 1.2)) for x, y in places]
         )
     )

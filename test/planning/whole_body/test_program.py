@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.program import (
     STATES,
@@ -76,7 +76,7 @@ def test_derivatives_of_gaps_are_those_of_differences(task):
 def test_braking_follows_the_same_way_to_rest_within_the_limits(task):
     nodes = np.arange(0.0, 2.01, 0.1)
     v = np.array([0.3, 0.1, 0.1, 0.2])
-    motion = Motion(nodes, nodes[:, None] * v, np.tile(v, (21, 1)), np.zeros((20, 0)))
+    motion = HermiteTrajectory(nodes, nodes[:, None] * v, np.tile(v, (21, 1)), np.zeros((20, 0)))
     braked = task.controller.braked(motion, 0.5)
     times = np.linspace(0.0, braked.end, 400)
     z, rates = braked.at(times)

@@ -6,21 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.planning.whole_body.controller import PERIOD
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.platform_path import NoPathError
 from omniman_ros.planning.whole_body.task import ToolHold, WholeBodyTask
-from omniman_ros.planning.whole_body.way import NoWayError
-from omniman_ros.simulation.world.distances import PostureDistances, Prism
+from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 from test.planning.whole_body.support import START, posts, setup, straight
 
 SETUP = setup()
-POST = (1.3, -0.25)
-"""A post in the platform's way, if it kept its place relative to the tool."""
+POST = (1.3, -0.25)  #: A post in the platform's way, if it kept its place relative to the tool
 
 
 def drive(task, around, duration, sample=0.02):
@@ -46,7 +45,7 @@ def test_the_body_dodges_a_post_while_the_tool_stays_on_its_path():
     assert np.abs(tool[:, 1:3, 3] - start[1:3, 3]).max() < 1e-6
     assert np.abs(tool[:, :3, :3] - start[:3, :3]).max() < 1e-6
     assert tool[-1, 0, 3] - start[0, 3] == pytest.approx(0.8, abs=1e-3)
-    judge = PostureDistances(SETUP.description, [Prism((0.1, 0.1), 0.0, (0.0, 1.2))])
+    judge = ConfigurationDistances(SETUP.description, [Prism((0.1, 0.1), 0.0, (0.0, 1.2))])
     gaps = []
     for q in axes[::5]:
         judge.place(q[:3], q[3:], np.array([POST]))
@@ -59,37 +58,39 @@ def test_the_body_dodges_a_post_while_the_tool_stays_on_its_path():
 def test_the_robot_waits_for_a_walker_and_goes_on():
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
-    task = WholeBodyTask(SETUP, straight(0.6), START, 0.0, Hindrances())
+    task = WholeBodyTask(SETUP, straight(0.6), START, 0.0, ObstacleSnapshot())
 
     def around(now):
         # A person crosses the tool's path where the tool would be.
-        solid = UprightSolids.cylinder(x + 0.45, y + 2.5 - 0.8 * now, 0.25, (0.0, 1.8))
-        moving = Surroundings(solid, np.array([[0.0], [-0.8]]))
-        return Hindrances(time=now, moving=moving, growth=np.array([0.05]))
+        obstacle = UprightObstacles.cylinder(x + 0.45, y + 2.5 - 0.8 * now, 0.25, (0.0, 1.8))
+        moving = MovingObstacles(obstacle, np.array([[0.0], [-0.8]]))
+        return ObstacleSnapshot(time=now, moving=moving, growth=np.array([0.05]))
 
     times, axes, outcomes, end = drive(task, around, 15.0, sample=0.05)
     assert task.is_completed(end)
     met = outcomes[round(2.6 / PERIOD)].verdict.nearest  # the person is at the tool's path
     assert (met.cause, met.other) == (Cause.MOVING, "moving solid 0")
-    assert met.part != "platform" and 0.0 <= met.place < 0.6
+    assert met.part != "platform" and 0.0 <= met.path_parameter < 0.6
     unhindered = 0.6 / SETUP.path.linear_velocity
     assert end > unhindered
-    judge = PostureDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
+    judge = ConfigurationDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
     for now, q in zip(times[::2], axes[::2], strict=True):
-        judge.place(q[:3], q[3:], around(now).moving.solids.centre.T)
+        judge.place(q[:3], q[3:], around(now).moving.obstacles.centre.T)
         assert judge.distances(2.0)[0] > 0.0
 
 
 def test_what_appears_in_the_way_stops_the_robot_before_contact():
-    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
     late = posts((x + 0.5, y))  # on the path of the tool
-    _, axes, outcomes, end = drive(task, lambda now: late if now > 1.5 else Hindrances(), 5.0)
+    _, axes, outcomes, end = drive(
+        task, lambda now: late if now > 1.5 else ObstacleSnapshot(), 5.0
+    )
     assert not task.is_completed(end)
     assert np.abs(np.diff(axes[-3:], axis=0)).max() < 1e-3
     assert outcomes[-1].verdict.gap > 0.0
-    with pytest.raises(NoWayError, match="has no room beside standing solid 0"):
+    with pytest.raises(NoPathError, match="has no room beside standing solid 0"):
         task.search(end, late)
 
 
@@ -98,24 +99,24 @@ def test_the_cycle_after_something_comes_or_goes_tells_what_is_in_the_way():
     x, y = model.forward(START)[:2, 3].tolist()
     far, near = (9.0, 9.0), (x + 0.5, y)
     late = replace(posts(far, near), names=("the far post", "the near post"))
-    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
-    drive(task, lambda now: Hindrances(), 1.0)
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
+    drive(task, lambda now: ObstacleSnapshot(), 1.0)
     found = task.cycle(1.0, late).obstruction
     assert (found.cause, found.other) == (Cause.STANDING, "the near post")
     assert found.part in ("wrist_3_link", "wrist_2_link", "wrist_1_link", "forearm_link")
-    assert 0.0 < found.place < 0.5
+    assert 0.0 < found.path_parameter < 0.5
     assert str(found).endswith(f"{found.part} has no room beside the near post")
-    outcome = task.cycle(1.05, Hindrances())
+    outcome = task.cycle(1.05, ObstacleSnapshot())
     assert outcome.obstruction is None and outcome.verdict.nearest is None
 
 
 def test_a_walker_in_the_way_is_told_from_a_post():
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
-    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
-    drive(task, lambda now: Hindrances(), 1.0)
-    walker = UprightSolids.cylinder(x + 0.9, y, 0.25, (0.0, 1.8))
-    moving = Surroundings(walker, np.array([[-0.5], [0.0]]))
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
+    drive(task, lambda now: ObstacleSnapshot(), 1.0)
+    walker = UprightObstacles.cylinder(x + 0.9, y, 0.25, (0.0, 1.8))
+    moving = MovingObstacles(walker, np.array([[-0.5], [0.0]]))
     around = replace(posts((9.0, 9.0)), time=1.0, moving=moving, growth=np.zeros(1))
     found = task.cycle(1.0, around).obstruction
     assert (found.cause, found.other) == (Cause.MOVING, "moving solid 0")
@@ -127,19 +128,19 @@ def test_a_held_tool_stays_at_its_place_while_the_body_gives_way_and_comes_back(
 
     def around(now):
         # A person walks past, where the platform's right side is.
-        solid = UprightSolids.cylinder(-1.7 + 0.9 * now, -0.55, 0.25, (0.0, 1.8))
-        moving = Surroundings(solid, np.array([[0.9], [0.0]]))
-        return Hindrances(time=now, moving=moving, growth=np.array([0.05]))
+        obstacle = UprightObstacles.cylinder(-1.7 + 0.9 * now, -0.55, 0.25, (0.0, 1.8))
+        moving = MovingObstacles(obstacle, np.array([[0.9], [0.0]]))
+        return ObstacleSnapshot(time=now, moving=moving, growth=np.array([0.05]))
 
     times, axes, _, _ = drive(task, around, 5.5, sample=0.05)
     tool, begin = model.forward(axes), model.forward(START)
     assert np.abs(tool[:, :3] - begin[:3]).max() < 1e-6
     assert np.abs(axes[-1, :3] - START[:3]).max() < 0.01, "it did not come back"
-    judge = PostureDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
+    judge = ConfigurationDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
     gaps = []
     for now, q in zip(times, axes, strict=True):
         for each in (q, START):
-            judge.place(each[:3], each[3:], around(now).moving.solids.centre.T)
+            judge.place(each[:3], each[3:], around(now).moving.obstacles.centre.T)
             gaps.append(judge.distances(2.0)[0])
     assert min(gaps[1::2]) < 0.0, "a robot at rest would not be touched"
     assert min(gaps[::2]) > SETUP.dodge.least_clearance
@@ -160,19 +161,19 @@ def test_as_many_names_as_solids_are_accepted():
 def test_a_path_through_a_post_is_refused_with_the_place_the_part_and_the_solid():
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
-    with pytest.raises(NoWayError, match="has no room beside standing solid 1") as refused:
+    with pytest.raises(NoPathError, match="has no room beside standing solid 1") as refused:
         WholeBodyTask(SETUP, straight(1.0), START, 0.0, posts((9.0, 9.0), (x + 0.6, y)))
     found = refused.value.obstruction
     assert (found.cause, found.other) == (Cause.STANDING, "standing solid 1")
     assert found.part
-    assert 0.2 < found.place < 0.6
+    assert 0.2 < found.path_parameter < 0.6
 
 
 def test_a_path_out_of_reach_is_refused_with_the_place():
     poses = straight(1.0)
     poses[:, 2, 3] += np.linspace(0.1, 1.2, len(poses))
-    with pytest.raises(NoWayError, match="no place from which the arm reaches") as refused:
-        WholeBodyTask(SETUP, poses, START, 0.0, Hindrances())
+    with pytest.raises(NoPathError, match="no place from which the arm reaches") as refused:
+        WholeBodyTask(SETUP, poses, START, 0.0, ObstacleSnapshot())
     assert refused.value.obstruction.cause is Cause.REACH
 
 
@@ -181,9 +182,9 @@ def test_invalid_input_is_refused(value):
     poses = straight(1.0)
     poses[3, 0, 3] = value
     with pytest.raises(InputError):
-        WholeBodyTask(SETUP, poses, START, 0.0, Hindrances())
+        WholeBodyTask(SETUP, poses, START, 0.0, ObstacleSnapshot())
     with pytest.raises(InputError):
-        WholeBodyTask(SETUP, straight(1.0), np.full(9, value), 0.0, Hindrances())
+        WholeBodyTask(SETUP, straight(1.0), np.full(9, value), 0.0, ObstacleSnapshot())
     if value != 1e9:
         with pytest.raises(InputError, match="finite"):
             posts((value, 0.0))

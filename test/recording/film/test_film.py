@@ -15,8 +15,7 @@ from test.recording.film.logs import log_of, series
 
 FORMAT = FilmFormat((160, 90), 2.0)
 ROBOT = robot_description("omniman")
-MARGIN = 14
-"""Rows of captions at the upper and the lower edge of these small pictures."""
+MARGIN = 14  #: Rows of captions at the upper and the lower edge of these small pictures
 
 
 def film_of(log, shots):

@@ -7,7 +7,7 @@ import pytest
 
 from omniman_ros.simulation.ur.arm import CYCLE
 from omniman_ros.simulation.ur.dynamics import ArmDynamics
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.modes import Cb3RobotMode, Cb3RuntimeState, Cb3SafetyMode
 from omniman_ros.simulation.world.scene import Scene, Table
 from test.simulation.arm_link.world_rig import WorldRig
 from test.simulation.world.support import EMPTY, ideal, rollers
@@ -67,7 +67,7 @@ def test_fast_motion_of_the_arm_alone_is_no_collision(acceleration):
     r.run(0.8)
     assert np.abs(r.column(1)).max() > 1.5
     assert np.abs(r.column(3)).max() < 15.0
-    assert safety(r) is SafetyMode.NORMAL
+    assert safety(r) is Cb3SafetyMode.NORMAL
 
 
 def test_the_platform_at_its_limits_is_no_collision():
@@ -86,13 +86,13 @@ def test_the_platform_at_its_limits_is_no_collision():
     goal = np.zeros(3)
     r.run(0.6)
     assert 8.0 < np.abs(r.column(3)).max() < 40.0, "the platform's acceleration shows"
-    assert safety(r) is SafetyMode.NORMAL
+    assert safety(r) is Cb3SafetyMode.NORMAL
 
 
 @pytest.mark.parametrize(("declared", "is_stopped"), [(7.0, False), (0.0, True)])
 def test_a_heavy_tool_is_a_collision_unless_it_is_declared(declared, is_stopped):
     r = rig(payload=declared, arm__mass=25.4)
-    assert (safety(r) is SafetyMode.PROTECTIVE_STOP) is is_stopped
+    assert (safety(r) is Cb3SafetyMode.PROTECTIVE_STOP) is is_stopped
 
 
 def test_the_model_of_the_controller_is_that_of_the_world_for_a_base_at_rest():
@@ -126,7 +126,7 @@ def drive_into_table(speed):
 
     r.during = look
     r.movej([0.0, 1.0, *RAISED[2:]], 5.0, speed)
-    while safety(r) is SafetyMode.NORMAL:
+    while safety(r) is Cb3SafetyMode.NORMAL:
         r.cycle()
         assert r.time < 5.0
     return r, r.time - CYCLE - touched[0]
@@ -138,7 +138,7 @@ def test_contact_is_a_protective_stop_that_presses_no_more(speed):
     assert 0.0 < delay < 0.03
     assert r.controller.log[-1].startswith("protective stop: collision detected by joint 1")
     r.run(0.4)
-    assert r.controller.runtime is RuntimeState.PAUSED
+    assert r.controller.runtime is Cb3RuntimeState.PAUSED
     assert np.abs(r.controller.arm.qd).max() < 0.01
     assert sum(np.linalg.norm(contact.force) for contact in r.world.contacts) < 100.0
     place = r.controller.arm.q
@@ -154,20 +154,20 @@ def test_after_unlocking_a_program_moves_the_arm_away_from_the_contact():
     assert r.controller.unlock()
     r.movej(RAISED, 5.0, 2.0)
     r.run(1.2)
-    assert safety(r) is SafetyMode.NORMAL
+    assert safety(r) is Cb3SafetyMode.NORMAL
     np.testing.assert_allclose(r.controller.arm.q, RAISED, atol=1e-3)
 
 
 def test_without_power_the_brakes_hold_the_arm():
     r = rig()
-    assert r.controller.power(RobotMode.POWER_OFF)
+    assert r.controller.power(Cb3RobotMode.POWER_OFF)
     r.run(0.2)
     place = r.controller.arm.q
-    assert r.controller.modes.robot is RobotMode.POWER_OFF
+    assert r.controller.modes.robot is Cb3RobotMode.POWER_OFF
     np.testing.assert_array_equal(r.controller.arm.torque, 0.0)
     r.run(1.0)
     np.testing.assert_allclose(r.controller.arm.q, place, atol=1e-3)
-    assert r.controller.power(RobotMode.RUNNING)
+    assert r.controller.power(Cb3RobotMode.RUNNING)
     r.run(2.0)
     assert r.controller.modes.ready
     np.testing.assert_allclose(r.controller.arm.q, place, atol=2e-3)
@@ -187,15 +187,15 @@ def test_a_lost_link_stops_the_joints_and_takes_their_power():
     assert abs(speeds[-1]) < 1e-3
     assert np.diff(speeds).min() / CYCLE > -15.0 * 1.2
     c = r.controller
-    assert (c.modes.robot, c.output("robot_mode")) == (RobotMode.DISCONNECTED, 0)
-    assert c.runtime is RuntimeState.STOPPED and c.end_reason == "the arm does not answer"
-    assert not c.power(RobotMode.RUNNING) and not c.start("test")
+    assert (c.modes.robot, c.output("robot_mode")) == (Cb3RobotMode.DISCONNECTED, 0)
+    assert c.runtime is Cb3RuntimeState.STOPPED and c.end_reason == "the arm does not answer"
+    assert not c.power(Cb3RobotMode.RUNNING) and not c.start("test")
 
     r.link.is_refused = False
     r.run(0.3)
-    assert c.modes.robot is RobotMode.POWER_OFF, "nothing moves again by itself"
+    assert c.modes.robot is Cb3RobotMode.POWER_OFF, "nothing moves again by itself"
     place = c.arm.q
-    assert c.power(RobotMode.RUNNING)
+    assert c.power(Cb3RobotMode.RUNNING)
     r.run(2.0)
     assert c.modes.ready
     np.testing.assert_allclose(c.arm.q, place, atol=2e-3)

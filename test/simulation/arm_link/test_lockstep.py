@@ -9,18 +9,16 @@ import pytest
 
 from omniman_ros.simulation.arm_link.server import ArmLinkServer
 from omniman_ros.simulation.ur.arm import UrArmParameters
+from omniman_ros.simulation.ur.controller_clock import SimulatedTime
 from omniman_ros.simulation.ur.controller_server import ControllerServer
-from omniman_ros.simulation.ur.pace import SimulatedTime
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from test.simulation.world.support import ideal
 
 pytestmark = pytest.mark.processes  # the controller runs in a thread
 
 START = 100.0
-STEP = 0.005
-"""Step of simulated time, as on /clock [s]."""
-LOOKAHEAD = 0.01
-"""How far simulated time may be ahead of the controller's cycles [s]."""
+STEP = 0.005  #: Step of simulated time, as on /clock [s]
+LOOKAHEAD = 0.01  #: How far simulated time may be ahead of the controller's cycles [s]
 TIMEOUT = 20.0
 PORTS = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
 PROGRAM = "def f():\n  movej([0.4, -1.3, 1.2, -1.2, -1.3, 0.3], a=8, v=2)\nend\n"

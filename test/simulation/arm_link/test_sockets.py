@@ -8,7 +8,7 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.simulation.arm_link.client import ArmLinkClient
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState, encode_setpoint
 from omniman_ros.simulation.arm_link.server import ArmLinkServer
-from omniman_ros.simulation.link_connection import LinkError
+from omniman_ros.simulation.link_connection import SimulationLinkError
 
 SIX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 TIMEOUT = 5.0
@@ -76,7 +76,7 @@ def test_a_second_controller_is_turned_away(server, client):
 
 def test_the_end_of_either_side_is_noticed_and_a_new_controller_is_accepted(server, client):
     client.close("done")
-    with pytest.raises(LinkError, match="closed"):
+    with pytest.raises(SimulationLinkError, match="closed"):
         read(server)
     assert not server.is_connected and server.receive() == []
     again = ArmLinkClient(server.port)
@@ -103,7 +103,7 @@ def test_garbage_disconnects_and_a_frame_cut_in_two_does_not(server):
 
 def test_a_controller_that_does_not_read_is_disconnected(server, client):
     state = ArmState(1, SIX, SIX, SIX)
-    with pytest.raises(LinkError, match="does not read"):
+    with pytest.raises(SimulationLinkError, match="does not read"):
         for _ in range(200_000):
             server.send(state)
     assert not server.is_connected

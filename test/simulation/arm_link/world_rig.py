@@ -4,14 +4,13 @@ import numpy as np
 
 from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.world_arm import WorldArm
 from test.simulation.ur.controller_rig import NoNetwork, Script
 from test.simulation.world.support import STEP
 
-CYCLE_STEPS = round(CYCLE / STEP)
-"""Steps of the world in a cycle of the controller."""
+CYCLE_STEPS = round(CYCLE / STEP)  #: Steps of the world in a cycle of the controller
 
 
 class TestedLink(DirectLink):
@@ -59,7 +58,7 @@ class WorldRig:
         values = UrArmParameters(payload=payload, **parameters)
         arm = WorldArm(values, self.link, is_lockstep=True)
         self.scripts = {}
-        self.controller = Controller(values, arm, self._launch)
+        self.controller = Cb3Controller(values, arm, self._launch)
         self.time, self.track, self.loads = bench.now, [], []
         self.during = lambda: None
         for _ in range(3):

@@ -295,13 +295,13 @@ def test_frames_are_lost_both_ways_at_their_rate_and_by_the_seed():
             counts.append(len(host.got))
         return counts, (host.bus.lost - lost) / (host.bus.received - heard + host.bus.sent)
 
-    counts, share = run(1)
+    counts, fraction = run(1)
     assert run(1)[0] == counts
     assert run(2)[0] != counts
     whole = [count for count in counts if count]
     assert 0.7 < len(whole) / len(counts) < 0.9  # the SYNC itself is lost
     assert 0.7 * 8 < np.mean(whole) < 0.9 * 8
-    assert 0.05 < share < 0.35
+    assert 0.05 < fraction < 0.35
 
 
 # installations

@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.plant.contact import (
-    Contact,
+    ContactFriction,
     centre_of_mass,
     roller_directions,
     smooth_friction,
@@ -109,7 +109,7 @@ def test_smooth_friction_is_odd_bounded_and_has_the_given_slope():
 
 
 def test_contact_never_supplies_energy_when_its_speed_reverses():
-    contact = Contact()
+    contact = ContactFriction()
     contact.set_floor(100.0, 0.01)
     contact.resolve(0.5, 1e-6)  # an arbitrary speed before
     contact.begin(0.5)

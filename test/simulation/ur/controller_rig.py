@@ -3,7 +3,7 @@
 import numpy as np
 
 from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
-from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.urscript.errors import ScriptError
@@ -40,7 +40,7 @@ class Rig:
         parameters.setdefault("initial", (0.0, -1.5, 1.0, 0.0, 0.5, 0.0))
         self.scripts = {"idle": lambda host, k: None}
         values = UrArmParameters(**parameters)
-        self.controller = Controller(values, SimulatedArm(values), self._launch)
+        self.controller = Cb3Controller(values, SimulatedArm(values), self._launch)
         self.host = ProgramHost(self.controller, NoNetwork())
         self.start = self.controller.arm.q.copy()
         self.cycles = 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.modes import Cb3RobotMode, Cb3RuntimeState, Cb3SafetyMode
 from test.simulation.ur.controller_rig import Rig, sweep
 
 
@@ -62,7 +62,7 @@ def test_arm_without_commands_decelerates_to_rest(rig, how):
     rig.run(0.5)
     assert rig.speed < 1e-3
     assert rig.hardest() < 25.0
-    assert rig.controller.modes.safety is SafetyMode.NORMAL
+    assert rig.controller.modes.safety is Cb3SafetyMode.NORMAL
     assert rig.controller.counts.servo_gaps == (how != "end")
     assert rig.controller.end_reason == ("completed" if how == "end" else "")
 
@@ -80,7 +80,7 @@ def jump(rig, step, gain=300):
 def test_jump_that_a_real_controller_accepts_is_accepted(rig, step):
     jump(rig, step)
     rig.run(1.0)
-    assert rig.controller.modes.safety is SafetyMode.NORMAL
+    assert rig.controller.modes.safety is Cb3SafetyMode.NORMAL
     assert rig.moved == pytest.approx(step, abs=1e-3)
 
 
@@ -89,9 +89,9 @@ def test_too_large_jump_causes_a_protective_stop_with_deceleration(rig, step):
     jump(rig, step)
     rig.run(1.0)
     c = rig.controller
-    assert c.modes.safety is SafetyMode.PROTECTIVE_STOP
+    assert c.modes.safety is Cb3SafetyMode.PROTECTIVE_STOP
     assert (c.output("safety_mode"), *bits(rig)) == (3, 0b01, 1 << 2 | 1 << 10)
-    assert c.runtime is RuntimeState.PAUSED and c.counts.protective_stops == 1
+    assert c.runtime is Cb3RuntimeState.PAUSED and c.counts.protective_stops == 1
     assert rig.speed == 0.0 or rig.speed < 1e-3
     assert abs(rig.moved) < 0.5
     assert rig.hardest() <= 40.0 + 1e-6
@@ -102,7 +102,7 @@ def test_joint_at_the_end_of_its_range_causes_a_protective_stop():
     rig = Rig(initial=(6.2, -1.5, 1.0, 0.0, 0.5, 0.0))
     rig.play(sweep(rig, 1.0)[0])
     rig.run(1.0)
-    assert rig.controller.modes.safety is SafetyMode.PROTECTIVE_STOP
+    assert rig.controller.modes.safety is Cb3SafetyMode.PROTECTIVE_STOP
     assert "position of joint 0" in rig.controller.log[0]
     assert 6.3355 < rig.controller.arm.q[0] < 6.3355 + 1.0 / 15 + 0.02
     # After unlocking, the joint may be moved back.
@@ -110,7 +110,7 @@ def test_joint_at_the_end_of_its_range_causes_a_protective_stop():
     assert rig.controller.unlock()
     rig.play(lambda host, k: host.speedj((-0.3, 0, 0, 0, 0, 0), 1.0, CYCLE))
     rig.run(1.0)
-    assert rig.controller.modes.safety is SafetyMode.NORMAL
+    assert rig.controller.modes.safety is Cb3SafetyMode.NORMAL
     assert rig.controller.arm.q[0] < 6.2
 
 
@@ -137,12 +137,12 @@ def test_unlocking_is_refused_for_5_s_and_then_starts_no_motion(rig):
     assert rig.controller.unlock()
     where = rig.moved
     rig.run(1.0)
-    assert rig.controller.modes.ready and rig.controller.runtime is RuntimeState.PAUSED
+    assert rig.controller.modes.ready and rig.controller.runtime is Cb3RuntimeState.PAUSED
     assert rig.moved == pytest.approx(where, abs=1e-6)
     steps = rig.script.steps
     assert rig.controller.play()
     rig.run(1.0)
-    assert rig.controller.runtime is RuntimeState.PLAYING and rig.script.steps > steps
+    assert rig.controller.runtime is Cb3RuntimeState.PLAYING and rig.script.steps > steps
 
 
 def test_interrupted_move_continues_after_unlocking(rig):
@@ -171,9 +171,9 @@ def test_pause_slows_down_holds_and_resumes(rig):
     rig.track.clear()
     rig.faults(pause_program=True)
     rig.cycle()
-    assert rig.controller.runtime is RuntimeState.PAUSING
+    assert rig.controller.runtime is Cb3RuntimeState.PAUSING
     rig.run(1.0)
-    assert rig.controller.runtime is RuntimeState.PAUSED and rig.speed < 1e-3
+    assert rig.controller.runtime is Cb3RuntimeState.PAUSED and rig.speed < 1e-3
     assert rig.controller.output("speed_scaling") == 0.0
     assert bits(rig) == [0b01, 1]
     count, where = len(sent), rig.moved
@@ -181,9 +181,9 @@ def test_pause_slows_down_holds_and_resumes(rig):
     assert len(sent) == count and rig.moved == pytest.approx(where, abs=1e-6)
     assert rig.controller.play()
     rig.cycle()
-    assert rig.controller.runtime is RuntimeState.RESUMING
+    assert rig.controller.runtime is Cb3RuntimeState.RESUMING
     rig.run(1.5)
-    assert rig.controller.runtime is RuntimeState.PLAYING and len(sent) > count
+    assert rig.controller.runtime is Cb3RuntimeState.PLAYING and len(sent) > count
     assert rig.speed == pytest.approx(0.5, rel=0.02)
     assert rig.hardest() < 8.0
     assert bits(rig) == [0b11, 1]
@@ -196,7 +196,8 @@ def test_paused_program_can_be_stopped_exactly_once(rig):
     rig.run(1.0)
     assert rig.controller.stop("by hand") and not rig.controller.stop("by hand")
     assert (
-        rig.controller.runtime is RuntimeState.STOPPED and rig.controller.end_reason == "by hand"
+        rig.controller.runtime is Cb3RuntimeState.STOPPED
+        and rig.controller.end_reason == "by hand"
     )
     assert not rig.controller.play() and not rig.controller.pause()
 
@@ -211,23 +212,26 @@ def test_emergency_stop_ends_the_program_and_removes_power_at_rest(rig):
     rig.faults(emergency_stop=True)
     rig.cycle()
     c = rig.controller
-    assert (c.modes.safety, c.runtime) == (SafetyMode.ROBOT_EMERGENCY_STOP, RuntimeState.STOPPED)
+    assert (c.modes.safety, c.runtime) == (
+        Cb3SafetyMode.ROBOT_EMERGENCY_STOP,
+        Cb3RuntimeState.STOPPED,
+    )
     assert c.end_reason == "emergency stop"
-    assert c.modes.robot is RobotMode.RUNNING and rig.speed > 1.0
+    assert c.modes.robot is Cb3RobotMode.RUNNING and rig.speed > 1.0
     rig.run(0.3)
-    assert c.modes.robot is RobotMode.POWER_OFF and rig.speed == 0.0
+    assert c.modes.robot is Cb3RobotMode.POWER_OFF and rig.speed == 0.0
     assert rig.hardest() < 16.0
     assert bits(rig) == [0, 1 << 6 | 1 << 7 | 1 << 10]
-    assert not c.power(RobotMode.RUNNING) and not c.start("idle")
+    assert not c.power(Cb3RobotMode.RUNNING) and not c.start("idle")
     rig.faults()
     rig.run(1.0)
-    assert (c.modes.safety, c.modes.robot) == (SafetyMode.NORMAL, RobotMode.POWER_OFF)
+    assert (c.modes.safety, c.modes.robot) == (Cb3SafetyMode.NORMAL, Cb3RobotMode.POWER_OFF)
     assert not c.start("idle")
 
 
 def test_power_on_is_stepwise_and_brakes_have_a_separate_command(rig):
     c = rig.controller
-    assert c.power(RobotMode.POWER_OFF)
+    assert c.power(Cb3RobotMode.POWER_OFF)
     rig.run(0.1)
     seen = []
 
@@ -237,9 +241,9 @@ def test_power_on_is_stepwise_and_brakes_have_a_separate_command(rig):
             if not seen or seen[-1] != c.modes.robot.name:
                 seen.append(c.modes.robot.name)
 
-    assert c.power(RobotMode.IDLE)
+    assert c.power(Cb3RobotMode.IDLE)
     watch(2.0)
-    assert c.power(RobotMode.RUNNING)
+    assert c.power(Cb3RobotMode.RUNNING)
     watch(2.0)
     assert seen == ["POWER_OFF", "POWER_ON", "IDLE", "RUNNING"]
     assert c.start("idle")
@@ -255,13 +259,13 @@ def test_new_program_replaces_the_running_one(rig):
     rig.run(0.1)
     assert rig.controller.start("idle")
     assert first.end_reason == "another program was started"
-    assert rig.controller.runtime is RuntimeState.PLAYING and rig.controller.end_reason == ""
+    assert rig.controller.runtime is Cb3RuntimeState.PLAYING and rig.controller.end_reason == ""
 
 
 def test_invalid_program_is_rejected_and_the_old_one_continues(rig):
     assert rig.controller.start("idle")
     assert not rig.controller.start("nonsense")
-    assert rig.controller.runtime is RuntimeState.PLAYING
+    assert rig.controller.runtime is Cb3RuntimeState.PLAYING
     assert rig.controller.counts.refused == 1 and "nonsense" in rig.controller.log[-1]
 
 

@@ -4,13 +4,13 @@ import pytest
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.ur.dashboard import DashboardSession
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.modes import Cb3RobotMode, Cb3RuntimeState, Cb3SafetyMode
 
 
 class Pendant:
     def __init__(self):
-        self.runtime, self.robot_mode = RuntimeState.STOPPED, RobotMode.RUNNING
-        self.safety_mode = SafetyMode.NORMAL
+        self.runtime, self.robot_mode = Cb3RuntimeState.STOPPED, Cb3RobotMode.RUNNING
+        self.safety_mode = Cb3SafetyMode.NORMAL
         self.can = True
         self.asked = []
 
@@ -66,16 +66,16 @@ def test_answers_equal_those_of_a_real_controller(dashboard, line, reply):
             "Cannot unlock protective stop until 5s after occurrence. "
             "Always inspect cause of protective stop before unlocking",
         ),
-        ("power on", ("power", RobotMode.IDLE), "Powering on", "Failed to execute: power on"),
+        ("power on", ("power", Cb3RobotMode.IDLE), "Powering on", "Failed to execute: power on"),
         (
             "brake release",
-            ("power", RobotMode.RUNNING),
+            ("power", Cb3RobotMode.RUNNING),
             "Brake releasing",
             "Failed to execute: brake release",
         ),
         (
             "power off",
-            ("power", RobotMode.POWER_OFF),
+            ("power", Cb3RobotMode.POWER_OFF),
             "Powering off",
             "Failed to execute: power off",
         ),
@@ -91,10 +91,10 @@ def test_command_is_passed_on_and_its_outcome_returned(dashboard, pendant, line,
 @pytest.mark.parametrize(
     ("runtime", "state", "running"),
     [
-        (RuntimeState.PLAYING, "PLAYING null", "true"),
-        (RuntimeState.PAUSED, "PAUSED null", "false"),
-        (RuntimeState.PAUSING, "PLAYING null", "false"),
-        (RuntimeState.STOPPED, "STOPPED null", "false"),
+        (Cb3RuntimeState.PLAYING, "PLAYING null", "true"),
+        (Cb3RuntimeState.PAUSED, "PAUSED null", "false"),
+        (Cb3RuntimeState.PAUSING, "PLAYING null", "false"),
+        (Cb3RuntimeState.STOPPED, "STOPPED null", "false"),
     ],
 )
 def test_program_state_is_reported(dashboard, pendant, runtime, state, running):

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from omniman_ros.simulation.ur import kinematics
-from omniman_ros.simulation.ur.kinematics import DhTable
+from omniman_ros.simulation.ur.kinematics import DhParameters
 
 # First robot state of a UR5e from URSim 5.8, its joint data, Cartesian and kinematics info:
 # Universal_Robots_Client_Library, tests/test_primary_parser.cpp, ROBOT_STATE.
-UR5E = DhTable(
+UR5E = DhParameters(
     a=(0.0, -0.425, -0.3922, 0.0, 0.0, 0.0),
     d=(0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996),
     alpha=(math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0),

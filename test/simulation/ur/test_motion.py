@@ -7,7 +7,7 @@ import pytest
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
-from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, Stop, Target
+from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, StopJ, Target
 from omniman_ros.simulation.ur.safety_checks import SafetyChecks
 
 DT = 0.008
@@ -55,7 +55,7 @@ def test_servoj_lasts_for_its_time():
 
 def test_stopj_decelerates_all_joints_in_proportion():
     target = Target(np.zeros(6), np.array([1.0, -0.5, 0, 0, 0, 0]))
-    motion = Stop(2.0)
+    motion = StopJ(2.0)
     track = run(motion, target)
     assert len(track) * DT == pytest.approx(0.5, abs=2 * DT)
     assert np.all(np.abs(np.diff(track[:, 1])) <= 2.0 * DT + 1e-9)

@@ -6,8 +6,7 @@ import pytest
 
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 
-SIZE = 32
-"""Size of a message [bytes]."""
+SIZE = 32  #: Size of a message [bytes]
 
 
 class Rig:

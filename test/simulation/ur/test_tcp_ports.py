@@ -11,18 +11,16 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.faults import UrFaultParameters
-from omniman_ros.simulation.ur.modes import RuntimeState
+from omniman_ros.simulation.ur.modes import Cb3RuntimeState
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
-ANSWER = 5.0
-"""Time limit for the kernel to deliver data over the loopback [s]."""
+ANSWER = 5.0  #: Time limit for the kernel to deliver data over the loopback [s]
 FREE = dict.fromkeys(("dashboard", "primary", "secondary", "realtime", "rtde"), 0)
 HELLO = b"\x00\x05V\x00\x02"
 SETUP = struct.pack(">HBd", 11 + 9, ord("O"), 125.0) + b"timestamp"
 START = b"\x00\x03S"
 DATA = 3 + 1 + 8
-STATE = 5 + 47 + 0xFB + 0x65
-"""Sizes of a data package and of a robot state [bytes]."""
+STATE = 5 + 47 + 0xFB + 0x65  #: Sizes of a data package and of a robot state [bytes]
 
 
 class Rig:
@@ -159,7 +157,7 @@ def test_program_arrives_and_its_end_is_reported(rig):
     for _ in range(200):
         rig.cycle()
         seen.add(rig.controller.runtime)
-    assert seen == {RuntimeState.STOPPED, RuntimeState.PLAYING}
+    assert seen == {Cb3RuntimeState.STOPPED, Cb3RuntimeState.PLAYING}
     assert rig.controller.end_reason == "completed"
     assert rig.controller.output("output_int_register_3") == 7
 
@@ -236,7 +234,7 @@ def test_program_reads_one_message_per_step_and_the_rest_stays_in_the_kernel(rig
     assert seen[-1] == 10 or seen == sorted(seen)
     assert all(b - a <= 1 for a, b in pairwise(seen))
     rig.cycle(5)
-    assert rig.controller.runtime is RuntimeState.STOPPED  # the read timed out in the end
+    assert rig.controller.runtime is Cb3RuntimeState.STOPPED  # the read timed out in the end
 
 
 # ---- faults -----------------------------------------------------------------------------------
@@ -268,7 +266,7 @@ def test_connection_reset_includes_the_connection_of_the_program(rig, reverse):
     rig.faults(reset_connections=True)
     rig.cycle(5)
     assert rig.ends(reverse) == "RST"
-    assert rig.controller.runtime is RuntimeState.STOPPED
+    assert rig.controller.runtime is Cb3RuntimeState.STOPPED
 
 
 def test_connections_are_refused_and_then_accepted_at_the_same_port(rig):

@@ -7,7 +7,7 @@ import pytest
 
 from omniman_ros.simulation.world.avoidance import (
     DIRECTIONS,
-    Surroundings,
+    AvoidedNeighbours,
     half_planes,
     outline,
 )
@@ -18,16 +18,16 @@ PERIOD = 0.05
 RADIUS, CLEARANCE = 0.25, 0.1
 
 
-def surroundings(outlines, velocities=None, wishes=None, horizon=2.5, share=1.0, fixed=0):
+def surroundings(outlines, velocities=None, wishes=None, horizon=2.5, fraction=1.0, fixed=0):
     count = len(outlines)
     velocities = np.zeros((count, 2)) if velocities is None else np.array(velocities)
-    return Surroundings(
+    return AvoidedNeighbours(
         outlines=np.array(outlines).reshape(count, len(DIRECTIONS)),
         velocities=velocities,
         wishes=velocities if wishes is None else wishes,
         reaches=np.full(count, RADIUS + CLEARANCE),
         horizons=np.full(count, horizon),
-        shares=np.broadcast_to(share, count).astype(float),
+        fractions=np.broadcast_to(fraction, count).astype(float),
         fixed=fixed,
     )
 
@@ -56,7 +56,7 @@ class Plaza:
                 ],
                 np.concatenate([rest, self.rates[others]]),
                 np.concatenate([rest, wishes[others]]),
-                share=[1.0] * len(self.things) + [0.5] * (len(discs) - 1),
+                fraction=[1.0] * len(self.things) + [0.5] * (len(discs) - 1),
                 fixed=len(self.things),
             )
             planes = half_planes(place, self.rates[k], wishes[k], around)
@@ -161,7 +161,7 @@ def test_two_who_avoid_each_other_move_apart_by_opposite_changes():
     planes = []
     for k in (0, 1):
         other = outline(places[1 - k : 2 - k], RADIUS)
-        around = surroundings([other], rates[1 - k : 2 - k], share=0.5)
+        around = surroundings([other], rates[1 - k : 2 - k], fraction=0.5)
         planes += half_planes(places[k], rates[k], rates[k], around)
     (ax, ay, a), (bx, by, b) = planes
     assert (ax, ay) == pytest.approx((-bx, -by))

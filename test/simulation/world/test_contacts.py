@@ -13,7 +13,7 @@ UPRIGHT = [0.0, -math.pi / 2, 0.0, 0.0, 0.0, 0.0]
 
 
 def contact_pairs(bench):
-    return {(contact.part, contact.thing) for contact in bench.world.contacts}
+    return {(contact.part, contact.element) for contact in bench.world.contacts}
 
 
 @pytest.mark.parametrize("make", [ideal, rollers])
@@ -34,8 +34,8 @@ def test_driving_into_a_post_is_told_within_10_ms(make):
     assert reached is not None
     assert abs(told - reached) <= 0.010
     (contact,) = bench.world.contacts
-    assert (contact.part, contact.thing, contact.touches) == ("base_link", "post", True)
-    np.testing.assert_allclose(contact.place[:2], [1.1, 0.1], atol=0.01)
+    assert (contact.part, contact.element, contact.touches) == ("base_link", "post", True)
+    np.testing.assert_allclose(contact.position[:2], [1.1, 0.1], atol=0.01)
 
 
 def test_nothing_is_told_where_nothing_touches():
@@ -131,19 +131,19 @@ def test_a_contact_tells_who_moved_into_whom():
     """anna walks into the standing robot; the driving robot drives into ben, who stands."""
     anna = Person(name="anna", x=(1.2, -2.0), y=(0.0, 0.0), speed=1.0)
     standing = first_contact(ideal("omniman", Scene(persons=(anna,)), arm__mass=0.0), (0, 0, 0))
-    assert 1.0 < standing.thing_speed < 1.2
+    assert 1.0 < standing.element_speed < 1.2
     assert standing.part_speed < 0.01
     ben = Person(name="ben", x=(1.2,), y=(0.0,))
     driving = first_contact(ideal("omniman", Scene(persons=(ben,)), arm__mass=0.0), (0.4, 0, 0))
     assert driving.part_speed == pytest.approx(0.4, abs=0.02)
-    assert driving.thing_speed < 0.01
+    assert driving.element_speed < 0.01
 
 
 def test_the_speed_of_a_part_is_that_of_the_point_that_touches():
     """The robot turns on the spot; its front, 0.5 m ahead, moves by 0.5 m times the rate."""
     post = Post(name="post", x=0.25, y=0.62, radius=0.1, height=1.0)
     contact = first_contact(ideal("omniman", Scene(posts=(post,)), arm__mass=0.0), (0, 0, 0.5))
-    reach = np.hypot(*contact.place[:2])
+    reach = np.hypot(*contact.position[:2])
     assert contact.part_speed == pytest.approx(0.5 * reach, rel=0.05)
 
 
@@ -158,7 +158,7 @@ def test_a_column_is_touched_where_its_ellipse_is_and_can_be_placed_elsewhere():
     for place, touches in (((0.69, 0.0), True), ((0.0, 0.86), False), ((0.0, 0.84), True)):
         bench.world.engine.place(body, *place)
         bench.wait(2 * STEP)
-        touched = {contact.thing for contact in bench.world.contacts if contact.touches}
+        touched = {contact.element for contact in bench.world.contacts if contact.touches}
         assert touched == ({"column"} if touches else set()), place
 
 

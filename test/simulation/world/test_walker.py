@@ -50,7 +50,7 @@ def test_a_person_pushes_with_no_more_than_the_largest_force():
     bench = ideal("omniman", Scene(persons=(anna,)), arm__mass=0.0, world__person_force=50.0)
     walk(bench, 3.0)
     (contact,) = bench.world.contacts
-    assert (contact.part, contact.thing) == ("base_link", "anna")
+    assert (contact.part, contact.element) == ("base_link", "anna")
     assert np.linalg.norm(contact.force) == pytest.approx(50.0, rel=0.05)
 
 

@@ -82,7 +82,7 @@ def test_loads_are_put_where_the_robot_is_put():
     bench.drives.set_pose([-3.0, 1.0, -2.0])
     bench.wait(0.5)
     assert bench.world.wheel_loads.sum() == pytest.approx(weight, rel=1e-3)
-    assert {contact.thing for contact in bench.world.contacts} == {"part"}
+    assert {contact.element for contact in bench.world.contacts} == {"part"}
 
 
 def test_a_heavier_body_takes_over_in_motion():

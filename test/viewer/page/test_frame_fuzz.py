@@ -21,10 +21,8 @@ from test.fuzz import examples
 from test.nodes.random_messages import FLOATS
 
 HOST = "127.0.0.1"
-COUNT = examples(300)
-"""Number of frames: each that is no message of viser costs a new connection."""
-PATIENCE = 60.0
-"""Real time for an answer of the page, whose server runs in a thread [s]."""
+COUNT = examples(300)  #: Number of frames: each that is no message of viser costs a new connection
+PATIENCE = 60.0  #: Real time for an answer of the page, whose server runs in a thread [s]
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": [1.0, 0.0, 0.0, 0.0],
@@ -36,8 +34,7 @@ CAMERA = {
     "far": 10.0,
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0.0, 0.0, 1.0],
-}
-"""What a browser sends first."""
+}  #: What a browser sends first
 
 
 class RandomFrames:

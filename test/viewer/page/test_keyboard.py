@@ -4,8 +4,7 @@ import re
 from omniman_ros.viewer.hold_to_drive import MOTIONS
 from omniman_ros.viewer.page.keyboard import CHORDS, KEYS, chord_name, keyboard_script
 
-CAMERA_KEYS = set("WASDQE")
-"""Keys of viser's camera, besides the arrows."""
+CAMERA_KEYS = set("WASDQE")  #: Keys of viser's camera, besides the arrows
 
 
 def script(stop='st"op'):

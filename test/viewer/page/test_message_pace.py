@@ -9,10 +9,8 @@ from omniman_ros.viewer.page.message_pace import BURST, RATE, MessagePace
 from omniman_ros.viewer.page.request_guard import RequestGuard
 from omniman_ros.viewer.page.viser_compat import guarded_server
 
-FLOOD = 10 * BURST
-"""Messages that a page sends at once; at the permitted rate they take 9 s."""
-PRESSES = BURST // 2
-"""Messages of another page, each of which is answered before the next."""
+FLOOD = 10 * BURST  #: Messages that a page sends at once; at the permitted rate they take 9 s
+PRESSES = BURST // 2  #: Messages of another page, each of which is answered before the next
 
 
 def test_a_page_that_is_used_never_waits():

@@ -250,8 +250,7 @@ CAMERA = {
     "image_width": 100,
     "look_at": (0.0, 0.0, 0.0),
     "up_direction": (0.0, 0.0, 1.0),
-}
-"""First message of a browser; viser ignores all others before it."""
+}  #: First message of a browser; viser ignores all others before it
 
 
 def send_as_browser(page, *messages):

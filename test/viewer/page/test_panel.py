@@ -24,7 +24,7 @@ from omniman_ros.viewer.events import (
     ParameterChanged,
     WaypointAdded,
 )
-from omniman_ros.viewer.obstacle_paths import AtEnd, Motion, WaypointPath
+from omniman_ros.viewer.obstacle_paths import AtEnd, PathKind, WaypointPath
 from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.page import free_port
 from omniman_ros.viewer.page.panel import HEARTBEAT, Controls
@@ -225,7 +225,7 @@ def test_the_numbers_of_the_kind_of_motion_are_visible(bench, selected):
         return [label for label in labels if bench.handle(label).visible]
 
     assert visible() == ["x speed (m/s)"]
-    bench.obstacles.set_motion(selected, Motion.ONE_TURN, 1.0)
+    bench.obstacles.set_motion(selected, PathKind.ONE_TURN, 1.0)
     bench.draw(1.0)
     assert visible() == ["x speed (m/s)", "turn after (s)"]
     bench.obstacles.set_path(selected, WaypointPath(((0.0, 0.0), (1.0, 0.0))), 1.0)
@@ -236,7 +236,7 @@ def test_the_numbers_of_the_kind_of_motion_are_visible(bench, selected):
     assert visible() == ["x speed (m/s)"] and bench.handle("One turn").disabled
 
 
-@pytest.mark.parametrize("motion", Motion)
+@pytest.mark.parametrize("motion", PathKind)
 def test_a_button_requests_its_kind_of_motion(bench, selected, motion):
     bench.click(motion.value.capitalize())
     assert bench.events == [ObstacleMotionSet(selected, motion)]
@@ -303,7 +303,7 @@ def test_an_entry_for_one_way_point_does_not_apply_to_the_next(bench, walking):
 
 
 def test_the_only_way_point_cannot_be_deleted(bench, selected):
-    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.obstacles.set_motion(selected, PathKind.WAYPOINTS, 1.0)
     bench.draw(1.0)
     assert bench.handle("Delete point").disabled
     bench.click("Delete point")
@@ -321,7 +321,7 @@ def test_a_way_point_is_added_by_a_button(bench, selected, walking):
 def test_clicks_on_the_floor_count_from_the_first_way_point_until_done(bench, selected):
     bench.draw(1.0)
     assert not bench.clicks.active
-    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.obstacles.set_motion(selected, PathKind.WAYPOINTS, 1.0)
     bench.draw(1.0)
     assert bench.clicks.active
     bench.click("Done")
@@ -333,12 +333,12 @@ def test_clicks_on_the_floor_count_from_the_first_way_point_until_done(bench, se
 
 @pytest.mark.parametrize("change", ["deselected", "straight", "deleted"])
 def test_clicks_on_the_floor_count_for_the_selected_obstacle_only(bench, selected, change):
-    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.obstacles.set_motion(selected, PathKind.WAYPOINTS, 1.0)
     bench.draw(1.0)
     if change == "deselected":
         bench.state.selected_obstacle = 0
     elif change == "straight":
-        bench.obstacles.set_motion(selected, Motion.STRAIGHT, 1.0)
+        bench.obstacles.set_motion(selected, PathKind.STRAIGHT, 1.0)
     else:
         bench.obstacles.delete(selected)
     bench.draw(1.1)

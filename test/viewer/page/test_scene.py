@@ -30,7 +30,7 @@ from omniman_ros.viewer.optimistic_updates import DRAG_TIMEOUT, RELEASE_TIMEOUT
 from omniman_ros.viewer.page.draggable_markers import ARROW_HEIGHT, OPAQUE, PALE, REST_SPEED
 from omniman_ros.viewer.page.floor_scene import dashes, rectangle
 from omniman_ros.viewer.page.page import free_port
-from omniman_ros.viewer.page.scene import Scene
+from omniman_ros.viewer.page.scene import PageScene
 from omniman_ros.viewer.perceived import LAYERS, Contact, Tracks
 from omniman_ros.viewer.placed_obstacles import MAX_VELOCITY, PlacedObstacles
 from omniman_ros.viewer.view_state import ViewState
@@ -53,7 +53,7 @@ class Stage:
         self.clients = {7: SimpleNamespace(camera=SimpleNamespace(position=EYE))}
         self.server.get_clients = lambda: self.clients
         self.events, self.now = [], 100.0
-        self.scene = Scene(self.server, robot, mount, self.events.append, lambda: self.now)
+        self.scene = PageScene(self.server, robot, mount, self.events.append, lambda: self.now)
         self.state = ViewState(robot.wheel_count, robot.wheel_count - 3)
         self.obstacles = PlacedObstacles()
         self.follow = False

@@ -21,7 +21,7 @@ from omniman_ros.viewer.events import (
 )
 from omniman_ros.viewer.page.draggable_markers import ARROW_HEIGHT
 from omniman_ros.viewer.page.page import free_port
-from omniman_ros.viewer.page.scene import Scene
+from omniman_ros.viewer.page.scene import PageScene
 from omniman_ros.viewer.placed_obstacles import PlacedObstacles
 from omniman_ros.viewer.view_state import ViewState
 from test import robots
@@ -48,11 +48,9 @@ FLAGS = (
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-)
-"""Options that disable all network access except the page, and render 3D in software."""
+)  #: Options that disable all network access except the page, and render 3D in software
 HOST, PATIENCE, STEPS = "127.0.0.1", 60.0, 5
-NEAR = 0.12
-"""Accuracy of a drag over pixels of about a centimetre [m]."""
+NEAR = 0.12  #: Accuracy of a drag over pixels of about a centimetre [m]
 
 
 class Theatre:
@@ -63,7 +61,7 @@ class Theatre:
         with contextlib.redirect_stdout(io.StringIO()):
             self.server = viser.ViserServer(host=HOST, port=free_port(HOST, 19140), verbose=False)
         self.events, self._done = [], 0
-        self.scene = Scene(self.server, robot, None, self.events.append)
+        self.scene = PageScene(self.server, robot, None, self.events.append)
         self.state = ViewState(robot.wheel_count, 1)
         self.state.update_odom((5.0, 3.0, 0.0), 0.0)
         self.obstacles = PlacedObstacles()

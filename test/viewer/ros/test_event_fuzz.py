@@ -18,10 +18,8 @@ from test.nodes.random_messages import FLOATS
 from test.nodes.test_fuzz import numbers
 from test.viewer.ros.fake_page import view
 
-COUNT = examples(1000)
-"""Number of events."""
-BETWEEN_TICKS = 25
-"""Number of events that are posted between two periods of the node."""
+COUNT = examples(1000)  #: Number of events
+BETWEEN_TICKS = 25  #: Number of events that are posted between two periods of the node
 WORDS = {
     ButtonPressed: (
         "pause",
@@ -40,8 +38,7 @@ WORDS = {
     ),
     CaseSelected: ("I", "II", "III", "", "IV"),
     ParameterChanged: ("weights.energy", "weights.position", "safety.clearance", "no.such", ""),
-}
-"""Texts of some kinds of events, known and unknown ones."""
+}  #: Texts of some kinds of events, known and unknown ones
 COMMANDS = (
     "cmd_vel",
     "goal_pose",
@@ -50,8 +47,7 @@ COMMANDS = (
     "initialpose",
     "obstacles",
     "tool_path",
-)
-"""Topics that move something, or that others move by."""
+)  #: Topics that move something, or that others move by
 MOTIONS = ("forward", "back", "left", "right", "turn_left", "turn_right", "up", "")
 
 

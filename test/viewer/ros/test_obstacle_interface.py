@@ -28,7 +28,7 @@ from omniman_ros.viewer.events import (
     WaypointAdded,
 )
 from omniman_ros.viewer.node import ViewerNode
-from omniman_ros.viewer.obstacle_paths import Motion
+from omniman_ros.viewer.obstacle_paths import PathKind
 from test.nodes.harness import World
 from test.viewer.ros.fake_page import FakePage, post, press, until, view
 
@@ -113,7 +113,7 @@ def test_a_planner_learns_the_velocity_of_an_obstacle(town):
 
 def test_a_click_that_selects_another_obstacle_adds_no_way_point(town):
     first, second = town.add((2.0, 0.0), (3.0, 0.0))
-    post(town.world, ObstacleMotionSet(first, Motion.WAYPOINTS))
+    post(town.world, ObstacleMotionSet(first, PathKind.WAYPOINTS))
     post(town.world, ObstacleSelected(second), WaypointAdded(first, (3.0, 0.0)))
     assert town.state.obstacles.placed[0].home.points == ((2.0, 0.0),)
     assert "another obstacle" in town.state.note
@@ -221,7 +221,7 @@ def test_an_obstacle_is_selected_until_it_is_deleted(town):
         ObstacleVelocitySet(7, (0.0, 0.0)),
         ObstaclePathSet(0, TwoVelocityPath((0.0, 0.0), (0.0, 0.0), -1.0)),
         ObstaclePathSet(7, TwoVelocityPath((0.0, 0.0))),
-        ObstacleMotionSet(7, Motion.STRAIGHT),
+        ObstacleMotionSet(7, PathKind.STRAIGHT),
         WaypointAdded(0, (3.0, 0.0)),
         WaypointAdded(7, (3.0, 0.0)),
         ObstacleResized(0, (0.0, 0.3), 0.0),

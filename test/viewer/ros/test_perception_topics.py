@@ -111,12 +111,12 @@ def test_tracked_obstacles_are_drawn_with_their_uncertainty(world):
 def contact(touches=True):
     made = SimpleNamespace(
         part="platform",
-        thing="crate",
-        place=np.array([1.0, 2.0, 0.1]),
+        element="crate",
+        position=np.array([1.0, 2.0, 0.1]),
         force=np.array([3.0, 4.0, 0.0]),
         impulse=np.zeros(3),
         part_speed=0.1,
-        thing_speed=0.0,
+        element_speed=0.0,
         touches=touches,
     )
     return contacts_message([made], "odom", LaserScan().header.stamp)
@@ -127,7 +127,7 @@ def test_contacts_are_shown_until_they_end(world):
     contacts.publish(contact())
     until(world, lambda: bool(seen(world).contacts), "the contact")
     (shown,) = seen(world).contacts.values()
-    assert shown.place.tolist() == [1.0, 2.0, 0.1] and shown.force == pytest.approx(5.0)
+    assert shown.position.tolist() == [1.0, 2.0, 0.1] and shown.force == pytest.approx(5.0)
     contacts.publish(contact(touches=False))
     until(world, lambda: not seen(world).contacts, "its end")
 
@@ -139,8 +139,8 @@ def test_limits_of_the_speed_and_the_tip_over_margin_are_shown(world):
     )
     limits.publish(motion_limit_message(0.25, 1.0, LaserScan().header.stamp))
     margins.publish(Float64(data=0.2))
-    until(world, lambda: seen(world).speed_shares and seen(world).tip_over_margin, "both")
-    assert seen(world).speed_shares == (0.25, 1.0)
+    until(world, lambda: seen(world).speed_fractions and seen(world).tip_over_margin, "both")
+    assert seen(world).speed_fractions == (0.25, 1.0)
     assert seen(world).tip_over_margin == 0.2
 
 

@@ -267,13 +267,13 @@ def test_a_case_places_robot_goal_and_obstacles_and_waits_for_go(field, name):
     assert [pose for _, _, pose in field.placed] == poses(case.start, case.start)
     field.world.run(2.0)
     assert state.obstacles_paused and field.goals == []
-    places = [way.place for way in case.ways]
+    places = [way.position for way in case.paths]
     assert state.obstacles.centers.tolist() == [pytest.approx(place) for place in places]
     press(field.world, "go", 1.0)
     assert field.goals == poses(case.goal)
     assert not state.obstacles_paused and state.start == case.start
-    ways = [way(0.95) for way in case.ways]
-    assert state.obstacles.centers == pytest.approx(np.array(ways).reshape(-1, 2), abs=0.05)
+    paths = [way(0.95) for way in case.paths]
+    assert state.obstacles.centers == pytest.approx(np.array(paths).reshape(-1, 2), abs=0.05)
 
 
 def test_a_case_without_a_simulation_leaves_the_robot_where_it_is(field):

@@ -19,11 +19,11 @@ from omniman_ros.simulation.can_drives.cia402.state_machine import (
     HALT,
     POWERED,
     TRANSITIONS,
-    Command,
-    State,
+    Cia402State,
+    ControlwordCommand,
     command,
 )
-from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
+from omniman_ros.simulation.can_drives.motor import DriveFaults, DriveMotor
 
 REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
 PROFILE_VELOCITY = 3  #: Mode of operation: profile velocity
@@ -106,7 +106,7 @@ class PowerDrive:
     """
 
     def __init__(
-        self, motor: Motor, settings: Cia402Settings, values: dict[Key, Value], errors: Errors
+        self, motor: DriveMotor, settings: Cia402Settings, values: dict[Key, Value], errors: Errors
     ) -> None:
         self._motor, self._settings = motor, settings
         self._values, self._errors = values, errors
@@ -130,10 +130,10 @@ class PowerDrive:
         )
         values[indices.ENCODER_RESOLUTION, 1] = clipped(s.counts, 32, signed=False)
         values[indices.SUPPORTED_MODES, 0] = sum(1 << (mode - 1) for mode in s.modes)
-        self.state = State.SWITCH_ON_DISABLED
+        self.state = Cia402State.SWITCH_ON_DISABLED
         self.mode = 0
         self.remote = self.connection_lost = False
-        self._state_after_ramp: State | None = None
+        self._state_after_ramp: Cia402State | None = None
         self._ramp = (0.0, 0.0)
         self._word, self._commanded = 0, False
         self._reference = 0.0
@@ -154,7 +154,7 @@ class PowerDrive:
         elif index == indices.CONTROLWORD:
             rising = value & ~self._word & FAULT_RESET
             self._word, self._commanded = value, True
-            if rising and self.state is State.FAULT:
+            if rising and self.state is Cia402State.FAULT:
                 self._reset()
             else:
                 self._obey()
@@ -166,50 +166,54 @@ class PowerDrive:
 
     def _obey(self) -> None:
         word = command(self._word)
-        if self.state is State.ENABLED and self._state_after_ramp and word is Command.ENABLE:
+        if (
+            self.state is Cia402State.ENABLED
+            and self._state_after_ramp
+            and word is ControlwordCommand.ENABLE
+        ):
             self._state_after_ramp = None  # the ramp that would disable the drive is cancelled
             self._begin_mode(self.mode)
             return
         target = self._target(word)
         if target is None:
             return
-        if self.state is State.ENABLED:
+        if self.state is Cia402State.ENABLED:
             self._leave_enabled(word, target)
         else:
             self._enter(target)
 
-    def _target(self, word: Command) -> State | None:
+    def _target(self, word: ControlwordCommand) -> Cia402State | None:
         """Return the state to which a command leads now, or None if it leads to none."""
         target = TRANSITIONS.get((self.state, word))
-        if self.state is State.QUICK_STOP and target is not None:
-            if self._state_after_ramp is State.FAULT:
-                return State.FAULT if word is Command.DISABLE_VOLTAGE else None
-            if target is State.ENABLED and self._option(indices.QUICK_STOP_OPTION) < 5:
+        if self.state is Cia402State.QUICK_STOP and target is not None:
+            if self._state_after_ramp is Cia402State.FAULT:
+                return Cia402State.FAULT if word is ControlwordCommand.DISABLE_VOLTAGE else None
+            if target is Cia402State.ENABLED and self._option(indices.QUICK_STOP_OPTION) < 5:
                 return None
-        return None if target is State.ENABLED and self.faults.refuse_enable else target
+        return None if target is Cia402State.ENABLED and self.faults.refuse_enable else target
 
-    def _leave_enabled(self, word: Command, target: State) -> None:
+    def _leave_enabled(self, word: ControlwordCommand, target: Cia402State) -> None:
         """Leave ENABLED at once, by a ramp, or by a quick stop, as configured."""
         option = {
-            Command.SWITCH_ON: indices.DISABLE_OPTION,
-            Command.SHUTDOWN: indices.SHUTDOWN_OPTION,
+            ControlwordCommand.SWITCH_ON: indices.DISABLE_OPTION,
+            ControlwordCommand.SHUTDOWN: indices.SHUTDOWN_OPTION,
         }.get(word)
         if option and self._option(option):
             if self._state_after_ramp is not target:
                 self._halt(indices.DECELERATION, target)
-        elif target is State.QUICK_STOP:
+        elif target is Cia402State.QUICK_STOP:
             self._quick_stop()
         else:
             self._enter(target)
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: Cia402State) -> None:
         self.state, self._state_after_ramp = state, None
-        if state is State.ENABLED:
+        if state is Cia402State.ENABLED:
             self._begin_mode(self.mode)
         elif state not in POWERED:
             self._motor.release()
 
-    def _halt(self, deceleration_index: int, next_state: State | None) -> None:
+    def _halt(self, deceleration_index: int, next_state: Cia402State | None) -> None:
         """Ramp to rest at the deceleration of an object, then enter a state unless it is None."""
         units = max(int(self._values[deceleration_index, 0]), 1)
         rate = units * REVOLUTION / self._settings.velocity_scale
@@ -217,14 +221,14 @@ class PowerDrive:
         self._state_after_ramp = next_state
         self._ramp = (self._now, abs(self._motor.velocity) / rate)
 
-    def _quick_stop(self, next_state: State | None = None) -> None:
+    def _quick_stop(self, next_state: Cia402State | None = None) -> None:
         option = self._option(indices.QUICK_STOP_OPTION)
         if option == 0:
-            self._enter(next_state or State.SWITCH_ON_DISABLED)
+            self._enter(next_state or Cia402State.SWITCH_ON_DISABLED)
             return
-        self.state = State.QUICK_STOP
+        self.state = Cia402State.QUICK_STOP
         if next_state is None and option in (1, 2):
-            next_state = State.SWITCH_ON_DISABLED
+            next_state = Cia402State.SWITCH_ON_DISABLED
         self._halt(
             indices.DECELERATION if option in (1, 5) else indices.QUICK_STOP_DECELERATION,
             next_state,
@@ -239,32 +243,36 @@ class PowerDrive:
         """Enter FAULT by the configured fault reaction (object 605E)."""
         self._errors.add(code)
         self._values[indices.ERROR_CODE, 0] = code
-        if self.state in (State.FAULT, State.FAULT_REACTION):
+        if self.state in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
             return
         option = self._option(indices.FAULT_REACTION_OPTION)
         if self.state not in POWERED or option == 0:
-            self._enter(State.FAULT)
+            self._enter(Cia402State.FAULT)
             return
-        self.state = State.FAULT_REACTION
+        self.state = Cia402State.FAULT_REACTION
         self._halt(
-            indices.DECELERATION if option == 1 else indices.QUICK_STOP_DECELERATION, State.FAULT
+            indices.DECELERATION if option == 1 else indices.QUICK_STOP_DECELERATION,
+            Cia402State.FAULT,
         )
 
     def abort_connection(self, code: int = COMMUNICATION) -> None:
         """React to the loss of the host, or to its NMT stop, as configured (object 6007)."""
         option = self._option(indices.ABORT_OPTION)
-        if code == COMMUNICATION and self.state not in (State.ENABLED, State.QUICK_STOP):
+        if code == COMMUNICATION and self.state not in (
+            Cia402State.ENABLED,
+            Cia402State.QUICK_STOP,
+        ):
             return  # a host may stop a node that has no power
         self._commanded = option == 0  # otherwise its commands no longer apply
         if option == 1:
             self.fault(code)
-        elif option == 2 and self.state not in (State.FAULT, State.FAULT_REACTION):
-            self._enter(State.SWITCH_ON_DISABLED)
-        elif option == 3 and self.state in (State.ENABLED, State.QUICK_STOP):
+        elif option == 2 and self.state not in (Cia402State.FAULT, Cia402State.FAULT_REACTION):
+            self._enter(Cia402State.SWITCH_ON_DISABLED)
+        elif option == 3 and self.state in (Cia402State.ENABLED, Cia402State.QUICK_STOP):
             self._values[indices.ERROR_CODE, 0] = code
-            self._quick_stop(State.FAULT)
-        elif option == 3 and self.state in (State.READY, State.SWITCHED_ON):
-            self._enter(State.SWITCH_ON_DISABLED)
+            self._quick_stop(Cia402State.FAULT)
+        elif option == 3 and self.state in (Cia402State.READY, Cia402State.SWITCHED_ON):
+            self._enter(Cia402State.SWITCH_ON_DISABLED)
 
     def connection_failed(self) -> None:
         """React to a missing heartbeat of the host."""
@@ -275,7 +283,7 @@ class PowerDrive:
     def connection_back(self) -> None:
         """Record that the host's heartbeat has returned."""
         self.connection_lost = False
-        if self.state is not State.FAULT and self._state_after_ramp is not State.FAULT:
+        if self.state is not Cia402State.FAULT and self._state_after_ramp is not Cia402State.FAULT:
             self._errors.remove(HEARTBEAT)
 
     def _causes(self) -> list[int]:
@@ -294,7 +302,7 @@ class PowerDrive:
         for code in tuple(self._errors.active):
             self._errors.remove(code)
         self._values[indices.ERROR_CODE, 0] = 0
-        self._enter(State.SWITCH_ON_DISABLED)
+        self._enter(Cia402State.SWITCH_ON_DISABLED)
 
     # ---- time ---------------------------------------------------------------------------------
 
@@ -311,7 +319,7 @@ class PowerDrive:
                 self._enter(self._state_after_ramp)
         if self._commanded:
             self._obey()
-        if self.state is State.ENABLED and self._state_after_ramp is None:
+        if self.state is Cia402State.ENABLED and self._state_after_ramp is None:
             self._follow(step if math.isfinite(step) else 0.0)
 
     def _follow(self, step: float) -> None:
@@ -385,9 +393,9 @@ class PowerDrive:
         """Return the statusword (CiA 402-2, 8.4.2); bits 10, 12 and 13 depend on the mode."""
         word = self.state.value
         word |= 0x0010 if self.supply >= self._settings.undervoltage else 0
-        word |= 0x0080 if self._errors.active and self.state is not State.FAULT else 0
+        word |= 0x0080 if self._errors.active and self.state is not Cia402State.FAULT else 0
         word |= 0x0200 if self.remote else 0
-        enabled = self.state is State.ENABLED and self._state_after_ramp is None
+        enabled = self.state is Cia402State.ENABLED and self._state_after_ramp is None
         word |= 0x0800 if enabled and self._limited else 0
         if enabled and self.mode in (SYNC_VELOCITY, SYNC_TORQUE):
             word |= 0x1000  # the drive follows the setpoint

@@ -20,7 +20,7 @@ from omniman_ros.simulation.can_drives.cia402.axis import Cia402Settings, PowerD
 from omniman_ros.simulation.can_drives.cia402.errors import PDO_LONG, PDO_SHORT, Errors
 from omniman_ros.simulation.can_drives.cia402.objects import ALL, Key, Value, dictionary
 from omniman_ros.simulation.can_drives.cia402.pdo import EVENT, INVALID_VALUE, Pdo, all_pdos
-from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
+from omniman_ros.simulation.can_drives.motor import DriveFaults, DriveMotor
 
 __all__ = ["Cia402Drive", "Cia402Settings"]
 
@@ -92,7 +92,9 @@ class Cia402Drive:
     timer.
     """
 
-    def __init__(self, motor: Motor, node: int, settings: Cia402Settings | None = None) -> None:
+    def __init__(
+        self, motor: DriveMotor, node: int, settings: Cia402Settings | None = None
+    ) -> None:
         self._settings = settings or Cia402Settings()
         self.node, self.faults = node, DriveFaults()
         self._faults = self.faults

@@ -3,7 +3,7 @@
 from enum import Enum
 
 
-class State(Enum):
+class Cia402State(Enum):
     """States of the drive; the values are their bits of the statusword (CiA 402-2, 8.4.2)."""
 
     NOT_READY = 0x00
@@ -16,7 +16,7 @@ class State(Enum):
     FAULT = 0x08
 
 
-class Command(Enum):
+class ControlwordCommand(Enum):
     """Commands; the values are mask and value of the controlword (CiA 402-2, 8.4.1)."""
 
     DISABLE_VOLTAGE = (0x02, 0x00)
@@ -31,32 +31,36 @@ HALT = 0x100  #: Bit of the controlword that halts the motor in profile modes
 
 #: State by previous state and command; 0, 1, 13 to 15, and 12 after a ramp, have other causes
 TRANSITIONS = {
-    (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY,  # 2
-    (State.READY, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
-    (State.READY, Command.ENABLE): State.SWITCHED_ON,  # 3, then 4
-    (State.SWITCHED_ON, Command.ENABLE): State.ENABLED,  # 4
-    (State.ENABLED, Command.SWITCH_ON): State.SWITCHED_ON,  # 5
-    (State.SWITCHED_ON, Command.SHUTDOWN): State.READY,  # 6
-    (State.READY, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 7
-    (State.READY, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 7
-    (State.ENABLED, Command.SHUTDOWN): State.READY,  # 8
-    (State.ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
-    (State.SWITCHED_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 10
-    (State.SWITCHED_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 10
-    (State.ENABLED, Command.QUICK_STOP): State.QUICK_STOP,  # 11
-    (State.QUICK_STOP, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
-    (State.QUICK_STOP, Command.ENABLE): State.ENABLED,  # 16, if the quick stop option (605A) stays
+    (Cia402State.SWITCH_ON_DISABLED, ControlwordCommand.SHUTDOWN): Cia402State.READY,  # 2
+    (Cia402State.READY, ControlwordCommand.SWITCH_ON): Cia402State.SWITCHED_ON,  # 3
+    (Cia402State.READY, ControlwordCommand.ENABLE): Cia402State.SWITCHED_ON,  # 3, then 4
+    (Cia402State.SWITCHED_ON, ControlwordCommand.ENABLE): Cia402State.ENABLED,  # 4
+    (Cia402State.ENABLED, ControlwordCommand.SWITCH_ON): Cia402State.SWITCHED_ON,  # 5
+    (Cia402State.SWITCHED_ON, ControlwordCommand.SHUTDOWN): Cia402State.READY,  # 6
+    (Cia402State.READY, ControlwordCommand.QUICK_STOP): Cia402State.SWITCH_ON_DISABLED,  # 7
+    (Cia402State.READY, ControlwordCommand.DISABLE_VOLTAGE): Cia402State.SWITCH_ON_DISABLED,  # 7
+    (Cia402State.ENABLED, ControlwordCommand.SHUTDOWN): Cia402State.READY,  # 8
+    (Cia402State.ENABLED, ControlwordCommand.DISABLE_VOLTAGE): Cia402State.SWITCH_ON_DISABLED,  # 9
+    # 10
+    (Cia402State.SWITCHED_ON, ControlwordCommand.DISABLE_VOLTAGE): Cia402State.SWITCH_ON_DISABLED,
+    (Cia402State.SWITCHED_ON, ControlwordCommand.QUICK_STOP): Cia402State.SWITCH_ON_DISABLED,  # 10
+    (Cia402State.ENABLED, ControlwordCommand.QUICK_STOP): Cia402State.QUICK_STOP,  # 11
+    # 12
+    (Cia402State.QUICK_STOP, ControlwordCommand.DISABLE_VOLTAGE): Cia402State.SWITCH_ON_DISABLED,
+    # 16, if the quick stop option (605A) stays
+    (Cia402State.QUICK_STOP, ControlwordCommand.ENABLE): Cia402State.ENABLED,
 }
 
-POWERED = (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION)  #: States with power
+#: States with power
+POWERED = (Cia402State.ENABLED, Cia402State.QUICK_STOP, Cia402State.FAULT_REACTION)
 
 
 BY_BITS = tuple(
-    next(command for command in Command if bits & command.value[0] == command.value[1])
+    next(command for command in ControlwordCommand if bits & command.value[0] == command.value[1])
     for bits in range(16)
 )  #: Command by the low four bits of a controlword: exactly one matches
 
 
-def command(controlword: int) -> Command:
+def command(controlword: int) -> ControlwordCommand:
     """Return the command in a controlword."""
     return BY_BITS[controlword & 0x0F]

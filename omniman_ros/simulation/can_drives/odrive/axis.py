@@ -4,14 +4,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from omniman_ros.simulation.can_drives.motor import Motor
+from omniman_ros.simulation.can_drives.motor import DriveMotor
 from omniman_ros.simulation.can_drives.odrive.cansimple import (
     MODES,
     Control,
     Error,
     Input,
+    OdriveAxisState,
     Result,
-    State,
 )
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
@@ -29,7 +29,7 @@ class AxisReadings:
     is_calibrated: bool  #: Whether the axis is calibrated; it cannot be armed otherwise
 
 
-class OdriveAxis:
+class SimulatedOdriveAxis:
     """Controller and power stage of an ODrive axis, without any frames.
 
     The axis is idle or in closed loop control. **A disarmed ODrive switches the power off: the
@@ -62,7 +62,7 @@ class OdriveAxis:
     """
 
     def __init__(
-        self, motor: Motor, settings: OdriveSettings, read: Callable[[], AxisReadings]
+        self, motor: DriveMotor, settings: OdriveSettings, read: Callable[[], AxisReadings]
     ) -> None:
         self._motor, self._settings, self._read = motor, settings, read
         self.restart(0.0)
@@ -89,7 +89,7 @@ class OdriveAxis:
     @property
     def is_armed(self) -> bool:
         """Whether the axis is in closed loop control."""
-        return self.state is State.CLOSED_LOOP
+        return self.state is OdriveAxisState.CLOSED_LOOP
 
     def fail(self, error: Error, failed: bool = True) -> None:
         """Set an error if it is present (`failed`), and disarm the axis."""
@@ -112,10 +112,10 @@ class OdriveAxis:
 
     def request_state(self, state: int, now: float) -> None:
         """Enter a state at `now` [s] if possible; `result` reports whether it was."""
-        if state == State.IDLE:
+        if state == OdriveAxisState.IDLE:
             self.result = Result.SUCCESS
             self._go_idle()
-        elif state != State.CLOSED_LOOP:
+        elif state != OdriveAxisState.CLOSED_LOOP:
             self.result = Result.INVALID_STATE
         elif not self.is_armed:
             self._arm(now)
@@ -127,13 +127,13 @@ class OdriveAxis:
         elif self.errors:
             self.result = Result.DISARMED
         else:
-            self.state, self.result = State.CLOSED_LOOP, Result.SUCCESS
+            self.state, self.result = OdriveAxisState.CLOSED_LOOP, Result.SUCCESS
             self._enter_mode(now)
             self.advance(now)
 
     def _go_idle(self) -> None:
         """Become idle: switch the motor's power off, and engage the brake if there is one."""
-        self.state = State.IDLE
+        self.state = OdriveAxisState.IDLE
         if self._settings.brake_deceleration:
             self._motor.halt(self._settings.brake_deceleration)
         else:

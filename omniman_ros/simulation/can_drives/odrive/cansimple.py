@@ -3,7 +3,7 @@
 import enum
 
 
-class Command(enum.IntEnum):
+class CanSimpleCommand(enum.IntEnum):
     """Command ids of frames: the lower five bits of the identifier."""
 
     VERSION = 0x00
@@ -37,7 +37,7 @@ class Error(enum.IntFlag):
     SPINOUT = 0x4000000
 
 
-class State(enum.IntEnum):
+class OdriveAxisState(enum.IntEnum):
     """Axis states that are modelled."""
 
     IDLE = 1

@@ -8,9 +8,18 @@ import can
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.firmware import Firmware, Timer
-from omniman_ros.simulation.can_drives.motor import Motor
-from omniman_ros.simulation.can_drives.odrive.axis import REVOLUTION, AxisReadings, OdriveAxis
-from omniman_ros.simulation.can_drives.odrive.cansimple import VERSION, Command, Error, State
+from omniman_ros.simulation.can_drives.motor import DriveMotor
+from omniman_ros.simulation.can_drives.odrive.axis import (
+    REVOLUTION,
+    AxisReadings,
+    SimulatedOdriveAxis,
+)
+from omniman_ros.simulation.can_drives.odrive.cansimple import (
+    VERSION,
+    CanSimpleCommand,
+    Error,
+    OdriveAxisState,
+)
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
 TEMPERATURE = 25.0  #: Temperature of power stage and motor [degrees Celsius], constant
@@ -37,7 +46,8 @@ class OdriveDrive(Firmware):
     own echo. When the time `watchdog` has passed since the last feeding, the error
     WATCHDOG_TIMER_EXPIRED disarms the axis.
 
-    Modelled: the behaviour of :class:`OdriveAxis`; Iq, temperatures (constant), bus, errors,
+    Modelled: the behaviour of :class:`SimulatedOdriveAxis`; Iq, temperatures (constant), bus,
+        errors,
     version, reboot in idle. Not modelled: arbitrary parameters, Address, extended identifiers;
     Iq_Setpoint is the measured current.
 
@@ -49,35 +59,35 @@ class OdriveDrive(Firmware):
         ParameterError: The node id is not from 0 to 63.
     """
 
-    def __init__(self, motor: Motor, node: int, settings: OdriveSettings) -> None:
+    def __init__(self, motor: DriveMotor, node: int, settings: OdriveSettings) -> None:
         if not 0 <= node < 64:
             raise ParameterError("node", node, "must be a node id of an ODrive, 0 to 63")
         super().__init__(motor, settings.boot_time)
         self._node, self._settings = node, settings
-        self.axis = OdriveAxis(motor, settings, self._readings)  #: Behaviour of the axis
+        self.axis = SimulatedOdriveAxis(motor, settings, self._readings)  #: Behaviour of the axis
         self._timers = {
-            Command.HEARTBEAT: Timer(settings.heartbeat),
-            Command.ENCODER: Timer(settings.encoder),
-            Command.IQ: Timer(settings.iq),
-            Command.BUS: Timer(settings.bus),
+            CanSimpleCommand.HEARTBEAT: Timer(settings.heartbeat),
+            CanSimpleCommand.ENCODER: Timer(settings.encoder),
+            CanSimpleCommand.IQ: Timer(settings.iq),
+            CanSimpleCommand.BUS: Timer(settings.bus),
         }
         self._host_frames: dict[int, HostFrame] = {
-            Command.ESTOP: HostFrame("", self.axis.stop),
-            Command.AXIS_STATE: HostFrame("<I", self.axis.request_state),
-            Command.CONTROLLER_MODE: HostFrame("<II", self.axis.set_mode),
-            Command.INPUT_VELOCITY: HostFrame("<ff", self.axis.set_velocity),
-            Command.INPUT_TORQUE: HostFrame("<f", self.axis.set_torque),
-            Command.LIMITS: HostFrame("<ff", self.axis.set_limits),
-            Command.REBOOT: HostFrame("<B", self._on_reboot),
-            Command.CLEAR_ERRORS: HostFrame("", self.axis.clear_errors),
+            CanSimpleCommand.ESTOP: HostFrame("", self.axis.stop),
+            CanSimpleCommand.AXIS_STATE: HostFrame("<I", self.axis.request_state),
+            CanSimpleCommand.CONTROLLER_MODE: HostFrame("<II", self.axis.set_mode),
+            CanSimpleCommand.INPUT_VELOCITY: HostFrame("<ff", self.axis.set_velocity),
+            CanSimpleCommand.INPUT_TORQUE: HostFrame("<f", self.axis.set_torque),
+            CanSimpleCommand.LIMITS: HostFrame("<ff", self.axis.set_limits),
+            CanSimpleCommand.REBOOT: HostFrame("<B", self._on_reboot),
+            CanSimpleCommand.CLEAR_ERRORS: HostFrame("", self.axis.clear_errors),
         }
         self._reports: dict[int, Callable[[], bytes]] = {
-            Command.VERSION: self._version,
-            Command.ERROR: self._error,
-            Command.ENCODER: self._encoder_report,
-            Command.IQ: self._iq,
-            Command.TEMPERATURE: self._temperature,
-            Command.BUS: self._bus,
+            CanSimpleCommand.VERSION: self._version,
+            CanSimpleCommand.ERROR: self._error,
+            CanSimpleCommand.ENCODER: self._encoder_report,
+            CanSimpleCommand.IQ: self._iq,
+            CanSimpleCommand.TEMPERATURE: self._temperature,
+            CanSimpleCommand.BUS: self._bus,
         }
         self._initial_position = settings.position
         self._stuck_heartbeat: bytes | None = None
@@ -102,11 +112,11 @@ class OdriveDrive(Firmware):
             return []
         command, data = message.arbitration_id & 0x1F, bytes(message.data)
         is_request = message.is_remote_frame or not data
-        if not is_request and (command in self._reports or command == Command.HEARTBEAT):
+        if not is_request and (command in self._reports or command == CanSimpleCommand.HEARTBEAT):
             return []
         self._fed_at = now
         if command in self._reports:
-            return self._answer(Command(command))
+            return self._answer(CanSimpleCommand(command))
         if not message.is_remote_frame:
             self._on_host_frame(command, data, now)
         return []
@@ -124,7 +134,7 @@ class OdriveDrive(Firmware):
             frame.handle(*struct.unpack(frame.layout, data[:size]), now)
 
     def _on_reboot(self, action: int, now: float) -> None:
-        if action == 0 and self.axis.state is State.IDLE:
+        if action == 0 and self.axis.state is OdriveAxisState.IDLE:
             self._reboot(now)
 
     # ---- time ---------------------------------------------------------------------------------
@@ -187,9 +197,11 @@ class OdriveDrive(Firmware):
         power = self._motor.voltage * self._motor.current
         return struct.pack("<ff", supply, power / supply if supply else 0.0)
 
-    def _answer(self, command: Command) -> list[can.Message]:
+    def _answer(self, command: CanSimpleCommand) -> list[can.Message]:
         """Return the messages of a report, to which the report faults are applied."""
-        if self.faults.silent or (command is Command.ENCODER and self.faults.frozen_reports):
+        if self.faults.silent or (
+            command is CanSimpleCommand.ENCODER and self.faults.frozen_reports
+        ):
             return []
         return self._report_faults.apply(
             self._frame(command, self._reports[command]()), self.faults
@@ -199,7 +211,7 @@ class OdriveDrive(Firmware):
         due = [command for command, timer in self._timers.items() if timer.due(now)]
         messages = []
         for command in due:
-            if command is not Command.HEARTBEAT:
+            if command is not CanSimpleCommand.HEARTBEAT:
                 messages += self._answer(command)
             elif not (self.faults.no_heartbeat or self.faults.silent):
                 messages.append(self._frame(command, self._stuck_heartbeat or self._heartbeat()))

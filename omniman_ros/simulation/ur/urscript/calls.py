@@ -17,8 +17,8 @@ from omniman_ros.simulation.ur.urscript.execution import (
     Call,
     Code,
     Expression,
-    Frame,
     Function,
+    StackFrame,
     Start,
     Suspending,
 )
@@ -79,7 +79,7 @@ class CallCompiler:
         if arguments.values:
             return _failing(arguments, _mismatch(thread), line)
 
-        def suspending(frame: Frame) -> Suspending[Value]:
+        def suspending(frame: StackFrame) -> Suspending[Value]:
             frame.thread.line = line
             handle: int = yield Start(thread)
             return handle
@@ -110,7 +110,7 @@ def _controller_call(name: str, arguments: _Arguments, line: int) -> Expression:
         return _failing(arguments, f"'{name}': an argument stands there twice", line)
     function = FUNCTIONS[name]
 
-    def call(frame: Frame, *values: Value) -> Any:
+    def call(frame: StackFrame, *values: Value) -> Any:
         named = dict(zip(names, values[positional:], strict=True))
         return function(frame.context, *values[:positional], **named)
 
@@ -118,7 +118,7 @@ def _controller_call(name: str, arguments: _Arguments, line: int) -> Expression:
     if name not in SUSPENDING_FUNCTIONS:
         return code
 
-    def suspending(frame: Frame) -> Suspending[Value]:
+    def suspending(frame: StackFrame) -> Suspending[Value]:
         result = yield from code.execute(frame)
         if isinstance(result, Wait):
             frame.thread.line = line
@@ -136,12 +136,12 @@ def _program_call(function: Function, arguments: _Arguments, line: int) -> Expre
     if missing or excess or len({*given}) < len(given):
         return _failing(arguments, _mismatch(function), line)
 
-    def bind(frame: Frame, *values: Value) -> Call:
+    def bind(frame: StackFrame, *values: Value) -> Call:
         return Call(function, dict(zip(given, values, strict=True)))
 
     call = apply(arguments.values, bind, line)
 
-    def suspending(frame: Frame) -> Suspending[Value]:
+    def suspending(frame: StackFrame) -> Suspending[Value]:
         request = yield from call.execute(frame)
         frame.thread.line = line
         value: Value = yield request
@@ -157,7 +157,7 @@ def _mismatch(function: Function) -> str:
 def _failing(arguments: _Arguments, message: str, line: int) -> Expression:
     """Compile a call that can only go wrong, after its arguments were evaluated."""
 
-    def fail(frame: Frame, *values: Value) -> Value:
+    def fail(frame: StackFrame, *values: Value) -> Value:
         raise ScriptRuntimeError(message)
 
     return apply(arguments.values, fail, line)

@@ -10,10 +10,10 @@ from typing import Any
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.execution import (
     Code,
-    Frame,
     LoopControl,
     Outcome,
     Return,
+    StackFrame,
     Suspending,
 )
 from omniman_ros.simulation.ur.urscript.values import Value
@@ -33,7 +33,7 @@ def apply(operands: Sequence[Code[Any]], function: Callable[..., Any], line: int
         line: Line in the program, to which an error of the function is attributed.
     """
 
-    def on_line(frame: Frame, *values: Value) -> Any:
+    def on_line(frame: StackFrame, *values: Value) -> Any:
         try:
             return function(frame, *values)
         except Exception:
@@ -43,7 +43,7 @@ def apply(operands: Sequence[Code[Any]], function: Callable[..., Any], line: int
     plains = [operand.plain for operand in operands if operand.plain]
     if len(plains) < len(operands):
 
-        def suspending(frame: Frame) -> Suspending[Any]:
+        def suspending(frame: StackFrame) -> Suspending[Any]:
             values = []
             for operand in operands:
                 values.append((yield from operand.execute(frame)))
@@ -66,7 +66,7 @@ def fold(
         operators: Functions of the left and right value, each with its line in the program.
     """
 
-    def combine(frame: Frame, left: Value, right: Value, index: int) -> Value:
+    def combine(frame: StackFrame, left: Value, right: Value, index: int) -> Value:
         operator, line = operators[index]
         try:
             return operator(left, right)
@@ -74,7 +74,7 @@ def fold(
             frame.thread.line = line
             raise
 
-    def suspending(frame: Frame) -> Suspending[Value]:
+    def suspending(frame: StackFrame) -> Suspending[Value]:
         value = yield from operands[0].execute(frame)
         for index, operand in enumerate(operands[1:]):
             value = combine(frame, value, (yield from operand.execute(frame)), index)
@@ -84,7 +84,7 @@ def fold(
     if first is None or None in others:
         return Code(suspending=suspending)
 
-    def plain(frame: Frame) -> Value:
+    def plain(frame: StackFrame) -> Value:
         value = first(frame)
         for index, operand in enumerate(others):
             value = combine(frame, value, operand(frame), index)  # type: ignore[misc]
@@ -100,7 +100,7 @@ def short_circuit(conditions: Sequence[Code[bool]], decisive: bool) -> Code[Valu
         decisive: Value of a condition that decides the result: False for `and`, True for `or`.
     """
 
-    def suspending(frame: Frame) -> Suspending[Value]:
+    def suspending(frame: StackFrame) -> Suspending[Value]:
         for condition in conditions:
             if (yield from condition.execute(frame)) is decisive:
                 return decisive
@@ -108,7 +108,7 @@ def short_circuit(conditions: Sequence[Code[bool]], decisive: bool) -> Code[Valu
 
     tests = [condition.plain for condition in conditions if condition.plain]
 
-    def plain(frame: Frame) -> Value:
+    def plain(frame: StackFrame) -> Value:
         return decisive if any(test(frame) is decisive for test in tests) else not decisive
 
     return Code(plain) if len(tests) == len(conditions) else Code(suspending=suspending)
@@ -120,7 +120,7 @@ def sequence(statements: Sequence[tuple[int, Code[Outcome]]]) -> Code[Outcome]:
     It ends early at a statement whose outcome is a break, continue or return.
     """
 
-    def suspending(frame: Frame) -> Suspending[Outcome]:
+    def suspending(frame: StackFrame) -> Suspending[Outcome]:
         for line, statement in statements:
             frame.charge(line)
             step = statement.plain
@@ -131,7 +131,7 @@ def sequence(statements: Sequence[tuple[int, Code[Outcome]]]) -> Code[Outcome]:
 
     steps = [(line, statement.plain) for line, statement in statements if statement.plain]
 
-    def plain(frame: Frame) -> Outcome:
+    def plain(frame: StackFrame) -> Outcome:
         for line, step in steps:
             frame.charge(line)
             outcome = step(frame)
@@ -147,7 +147,7 @@ def branch(
 ) -> Code[Outcome]:
     """Return the code that executes the block of the first true condition, else `otherwise`."""
 
-    def suspending(frame: Frame) -> Suspending[Outcome]:
+    def suspending(frame: StackFrame) -> Suspending[Outcome]:
         for condition, block in branches:
             if (yield from condition.execute(frame)):
                 return (yield from block.execute(frame))
@@ -158,7 +158,7 @@ def branch(
     if default is None or len(plains) < len(branches):
         return Code(suspending=suspending)
 
-    def plain(frame: Frame) -> Outcome:
+    def plain(frame: StackFrame) -> Outcome:
         for condition, block in plains:
             if condition(frame):
                 return block(frame)
@@ -170,7 +170,7 @@ def branch(
 def loop(condition: Code[bool], body: Code[Outcome], line: int) -> Code[Outcome]:
     """Return the code of a loop that executes a body while a condition is true."""
 
-    def suspending(frame: Frame) -> Suspending[Outcome]:
+    def suspending(frame: StackFrame) -> Suspending[Outcome]:
         while (yield from condition.execute(frame)):
             frame.charge(line)
             outcome = yield from body.execute(frame)
@@ -184,7 +184,7 @@ def loop(condition: Code[bool], body: Code[Outcome], line: int) -> Code[Outcome]
     if test is None or step is None:
         return Code(suspending=suspending)
 
-    def plain(frame: Frame) -> Outcome:
+    def plain(frame: StackFrame) -> Outcome:
         while test(frame):
             frame.charge(line)
             outcome = step(frame)

@@ -90,7 +90,7 @@ class Thread:
 
 
 @dataclass(slots=True)
-class Frame:
+class StackFrame:
     """Variables of a call, and its surroundings."""
 
     variables: dict[str, Value]  #: The function's own variables
@@ -112,11 +112,11 @@ class Code(Generic[T]):
     """A compiled part of a program, in one of its two forms."""
 
     #: Function of the frame, or None where the part may suspend its thread
-    plain: Callable[[Frame], T] | None = None
+    plain: Callable[[StackFrame], T] | None = None
     #: Generator function of the frame otherwise
-    suspending: Callable[[Frame], Suspending[T]] | None = None
+    suspending: Callable[[StackFrame], Suspending[T]] | None = None
 
-    def execute(self, frame: Frame) -> Suspending[T]:
+    def execute(self, frame: StackFrame) -> Suspending[T]:
         """Execute the part as a generator, whatever its form."""
         if self.plain is not None:
             return self.plain(frame)
@@ -141,7 +141,7 @@ class Function:
     #: Its statements
     body: Code[Outcome] = field(default_factory=lambda: Code(lambda frame: None))
 
-    def execute(self, frame: Frame) -> Suspending[Value]:
+    def execute(self, frame: StackFrame) -> Suspending[Value]:
         """Evaluate the defaults of what was not given, then run the body; return the value.
 
         The call itself is charged, too: calls can follow each other without end, or multiply, in

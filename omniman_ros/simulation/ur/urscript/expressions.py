@@ -6,7 +6,7 @@ from typing import Any
 from omniman_ros.simulation.ur.urscript.calls import CallCompiler, Scope
 from omniman_ros.simulation.ur.urscript.combinators import apply, constant, fold, short_circuit
 from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
-from omniman_ros.simulation.ur.urscript.execution import Code, Expression, Frame
+from omniman_ros.simulation.ur.urscript.execution import Code, Expression, StackFrame
 from omniman_ros.simulation.ur.urscript.syntax import (
     Nesting,
     Node,
@@ -135,7 +135,7 @@ def _false(node: Node) -> Expression:
 def _load(node: Node) -> Expression:
     name, line = str(node.children[0]), line_of(node)
 
-    def load(frame: Frame) -> Value:
+    def load(frame: StackFrame) -> Value:
         if name in frame.variables:
             return frame.variables[name]
         if name in frame.globals:

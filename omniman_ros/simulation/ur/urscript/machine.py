@@ -10,12 +10,12 @@ from omniman_ros.simulation.ur.urscript.context import PENDING, Context, Wait
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.execution import (
     Call,
-    Frame,
     Function,
     Halt,
     Join,
     Kill,
     Request,
+    StackFrame,
     Start,
     Thread,
 )
@@ -103,7 +103,7 @@ class Machine:
     # ---- threads ----------------------------------------------------------------------------
 
     def _push(self, thread: Thread, function: Function, variables: dict[str, Value]) -> None:
-        frame = Frame(variables, self.variables, thread, self._context)
+        frame = StackFrame(variables, self.variables, thread, self._context)
         thread.calls.append(function.execute(frame))
 
     def _advance(self, thread: Thread) -> bool:

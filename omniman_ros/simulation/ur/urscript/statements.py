@@ -9,13 +9,13 @@ from omniman_ros.simulation.ur.urscript.combinators import apply, branch, loop, 
 from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.execution import (
     Code,
-    Frame,
     Halt,
     Join,
     Kill,
     LoopControl,
     Outcome,
     Return,
+    StackFrame,
     Statement,
     Suspending,
 )
@@ -89,7 +89,7 @@ class StatementCompiler:
         one, else a new one of the function's own.
         """
 
-        def store(frame: Frame, value: Value) -> Outcome:
+        def store(frame: StackFrame, value: Value) -> Outcome:
             own = name in frame.variables or name not in frame.globals
             (frame.variables if own else frame.globals)[name] = value
             return None
@@ -97,7 +97,7 @@ class StatementCompiler:
         return apply([self._expressions.compile(value)], store, line)
 
     def _store_element(self, name: str, index: Any, value: Node, line: int) -> Statement:
-        def store(frame: Frame, index: Value, value: Value) -> Outcome:
+        def store(frame: StackFrame, index: Value, value: Value) -> Outcome:
             variables = _variables(frame, name)
             variables[name] = with_element(variables[name], index, value)
             return None
@@ -108,7 +108,7 @@ class StatementCompiler:
     def _store_global(self, node: Node) -> Statement:
         _, name, value = node.children
 
-        def store(frame: Frame, value: Value) -> Outcome:
+        def store(frame: StackFrame, value: Value) -> Outcome:
             frame.globals[str(name)] = value
             return None
 
@@ -117,7 +117,7 @@ class StatementCompiler:
     def _store_local(self, node: Node) -> Statement:
         _, name, value = node.children
 
-        def store(frame: Frame, value: Value) -> Outcome:
+        def store(frame: StackFrame, value: Value) -> Outcome:
             frame.variables[str(name)] = value
             return None
 
@@ -160,7 +160,7 @@ class StatementCompiler:
         line = line_of(node)
         handle = apply([self._expressions.compile(node.children[0])], _handle, line)
 
-        def suspending(frame: Frame) -> Suspending[Outcome]:
+        def suspending(frame: StackFrame) -> Suspending[Outcome]:
             number = yield from handle.execute(frame)
             frame.thread.line = line
             yield request(number)
@@ -170,21 +170,21 @@ class StatementCompiler:
 
 
 def _halt(node: Node) -> Statement:
-    def suspending(frame: Frame) -> Suspending[Outcome]:
+    def suspending(frame: StackFrame) -> Suspending[Outcome]:
         yield Halt()
         return None
 
     return Code(suspending=suspending)
 
 
-def _handle(frame: Frame, value: Value) -> int:
+def _handle(frame: StackFrame, value: Value) -> int:
     """Return a value as the handle of a thread; those of no thread, as 0, are handles too."""
     if type(value) is not int:
         raise ScriptRuntimeError(f"{to_str(value)} is no thread")
     return value
 
 
-def _variables(frame: Frame, name: str) -> dict[str, Value]:
+def _variables(frame: StackFrame, name: str) -> dict[str, Value]:
     """Return the variables among which a name is; the function's own come first."""
     for variables in (frame.variables, frame.globals):
         if name in variables:

@@ -25,26 +25,26 @@ class Tyres:
     """Contact of the tyres with the floor, each a spring with critical damping.
 
     MuJoCo's contacts accelerate as a_ref = -b v - k z with a regularisation R: the force is
-    (a_ref - a) / R. So 1 / R is a mass, here the wheel's share of the robot's mass, and k / R the
-    stiffness. Along the floor the same law holds with R over `impratio`, where k is zero: friction
-    creeps in proportion to its force, here as fast as the friction of the plant does at its
-    beginning.
+    (a_ref - a) / R. So 1 / R is a mass, here the wheel's fraction of the robot's mass, and k / R
+    the stiffness. Along the floor the same law holds with R over `impratio`, where k is zero:
+    friction creeps in proportion to its force, here as fast as the friction of the plant does at
+    its beginning.
     """
 
     stiffness: float  #: Stiffness of a tyre [N/m]
-    share: float  #: Mass that a wheel carries [kg]
+    fraction: float  #: Mass that a wheel carries [kg]
     mu: float  #: Coefficient of friction
     slip_velocity: float  #: Slip at which the plant's friction has 71 % of its bound [m/s]
 
     @property
     def rate(self) -> float:
         """Angular frequency of the contact [rad/s]."""
-        return math.sqrt(self.stiffness / self.share)
+        return math.sqrt(self.stiffness / self.fraction)
 
     @property
     def inverse_weight(self) -> float:
-        """Inverse mass at a tyre that makes 1 / R the wheel's share of the mass [1/kg]."""
-        return IMPEDANCE / ((1.0 - IMPEDANCE) * self.share)
+        """Inverse mass at a tyre that makes 1 / R the wheel's fraction of the mass [1/kg]."""
+        return IMPEDANCE / ((1.0 - IMPEDANCE) * self.fraction)
 
     @property
     def impratio(self) -> float:

@@ -109,7 +109,7 @@ def _add_rim(
     middle = parameters.roller_radius * radius
     half = roller_half_length(radius, middle, angle, count)
     mass = ROLLER_MASS * inertia.mass / count
-    # Of a solid ellipsoid; about the long axis last.
+    # Of an obstacle ellipsoid; about the long axis last.
     roller = Inertia(mass, (0.2 * mass * (middle**2 + half**2),) * 2 + (0.4 * mass * middle**2,))
     distance = radius - middle
     rollers = count * (mass * distance**2 + 0.5 * (roller.moments[0] + roller.moments[2]))

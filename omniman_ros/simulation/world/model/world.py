@@ -11,10 +11,10 @@ from omniman_ros.description.ur5 import ARM_MASS
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.model.arm import add_arm, tool_of
+from omniman_ros.simulation.world.model.elements import add_elements
 from omniman_ros.simulation.world.model.floor import Tyres, add_floor, tyres_of
 from omniman_ros.simulation.world.model.mjcf import add
 from omniman_ros.simulation.world.model.platform import add_platform, deck_height
-from omniman_ros.simulation.world.model.things import add_things
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scene import Scene
 
@@ -75,7 +75,7 @@ def world_model(
     base = add_platform(assets, world, robot, simulation.mismatch, mount, tyres, parameters)
     if armed:
         add_arm(base, description.arm, description.mount, tool)
-    add_things(assets, world, scene, deck_height(robot, mount))
+    add_elements(assets, world, scene, deck_height(robot, mount))
     _require_unique_names(world)
     return WorldModel(ElementTree.tostring(root, encoding="unicode"), tyres)
 

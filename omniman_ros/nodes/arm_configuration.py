@@ -14,19 +14,19 @@ MAX_AGE = 0.5  #: Age from which a joint state is stale [s]
 RESOLUTION = 1e-3  #: Largest change of all angles up to which a posture counts as the same [rad]
 
 
-class ArmPostureInput:
+class ArmConfigurationInput:
     """Takes the arm's posture from `arm/joint_states`, at most every 40 ms.
 
     While the arm is silent, its last posture holds: its mass does not vanish.
 
     Args:
-        on_posture: Called with the joint angles (6,) [rad] when they have changed.
+        on_configuration: Called with the joint angles (6,) [rad] when they have changed.
     """
 
     def __init__(
-        self, node: OmnimanNode, names: Sequence[str], on_posture: Callable[[Array], None]
+        self, node: OmnimanNode, names: Sequence[str], on_configuration: Callable[[Array], None]
     ) -> None:
-        self._node, self._on_posture = node, on_posture
+        self._node, self._on_arm_configuration = node, on_configuration
         self._states = ArmStatesReader(node, names, max_age=MAX_AGE)
         self._posture: Array | None = None
         self._time = 0.0
@@ -43,7 +43,7 @@ class ArmPostureInput:
     def repeat(self) -> None:
         """Report the present posture again, if it is known, as the arm's mass has changed."""
         if self._posture is not None:
-            self._on_posture(self._posture)
+            self._on_arm_configuration(self._posture)
 
     def _take(self) -> None:
         states = self._states.poll()
@@ -53,4 +53,4 @@ class ArmPostureInput:
         known, posture = self._posture, states.position
         if known is None or float(np.abs(posture - known).max()) > RESOLUTION:
             self._posture = posture
-            self._on_posture(posture)
+            self._on_arm_configuration(posture)

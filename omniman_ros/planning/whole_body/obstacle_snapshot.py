@@ -1,36 +1,36 @@
-"""What the whole body keeps clear of: solids that stand, and solids that move or may move."""
+"""What the whole body keeps clear of: standing obstacles, and those that move or may move."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
-from omniman_ros.collision.solids import UprightSolids
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
 
-def _nothing() -> Surroundings:
-    return Surroundings.standing(UprightSolids.join([]))
+def _nothing() -> MovingObstacles:
+    return MovingObstacles.standing(UprightObstacles.join([]))
 
 
 @dataclass(frozen=True)
-class Hindrances:
-    """Solids around the robot at one time, in odom.
+class ObstacleSnapshot:
+    """Obstacles around the robot at one time, in odom.
 
     Raises:
-        InputError: There are not as many rates or names as solids, or a value is not finite.
+        InputError: There are not as many rates or names as obstacles, or a value is not finite.
     """
 
     time: float = 0.0  #: Time at which the moving ones are where they are said to be [s]
-    #: Solids that stand
-    standing: UprightSolids = field(default_factory=lambda: UprightSolids.join([]))
-    #: Solids that move at constant velocity, and those that may walk on at once
-    moving: Surroundings = field(default_factory=_nothing)
+    #: Obstacles that stand
+    standing: UprightObstacles = field(default_factory=lambda: UprightObstacles.join([]))
+    #: Obstacles that move at constant velocity, and those that may walk on at once
+    moving: MovingObstacles = field(default_factory=_nothing)
     #: Rates (M,) at which the margin around each of the moving ones grows [m/s]
     growth: Array = field(default_factory=lambda: np.zeros(0))
-    #: Names of all solids, the standing ones first; none if they are numbered
+    #: Names of all obstacles, the standing ones first; none if they are numbered
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -41,29 +41,31 @@ class Hindrances:
             raise InputError(
                 f"growth has shape {self.growth.shape}, expected ({len(self.moving)},)"
             )
-        solids = self.standing, self.moving.solids
-        values = [part for each in solids for part in (each.centre, each.yaw, each.half)]
+        obstacles = self.standing, self.moving.obstacles
+        values = [part for each in obstacles for part in (each.centre, each.yaw, each.half)]
         values += [self.moving.velocity, self.growth, np.array([self.time])]
         if not all(np.isfinite(part).all() for part in values):
             raise InputError("solids must be finite, and so must their motion and its time")
 
-    def placed(self, ages: Array) -> UprightSolids:
-        """Return all M solids, the standing ones first, at times (k,) after theirs [s].
+    def placed(self, ages: Array) -> UprightObstacles:
+        """Return all M obstacles, the standing ones first, at times (k,) after theirs [s].
 
         Their centres (2, k, M) differ from time to time [m].
         """
-        solids = UprightSolids.join([self.standing, self.moving.solids])
-        velocity = np.zeros((2, len(solids)))
+        obstacles = UprightObstacles.join([self.standing, self.moving.obstacles])
+        velocity = np.zeros((2, len(obstacles)))
         velocity[:, len(self.standing) :] = self.moving.velocity
-        return replace(solids, centre=solids.centre[:, None] + ages[:, None] * velocity[:, None])
+        return replace(
+            obstacles, centre=obstacles.centre[:, None] + ages[:, None] * velocity[:, None]
+        )
 
-    def selected(self, standing: Indices, moving: Indices) -> "Hindrances":
-        """Return some of the solids by their numbers among those that stand and that move."""
+    def selected(self, standing: Indices, moving: Indices) -> "ObstacleSnapshot":
+        """Return some of the obstacles by their numbers among those that stand and that move."""
         labels, still = self.labels(), len(self.standing)
-        return Hindrances(
+        return ObstacleSnapshot(
             self.time,
             self.standing.select(standing),
-            Surroundings(self.moving.solids.select(moving), self.moving.velocity[:, moving]),
+            MovingObstacles(self.moving.obstacles.select(moving), self.moving.velocity[:, moving]),
             self.growth[moving],
             tuple(labels[k] for k in (*standing.tolist(), *(still + moving).tolist())),
         )

@@ -5,12 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 
-POST = UprightSolids.cylinder(1.0, 0.0, 0.2, (0.0, 1.0))
-"""A cylinder."""
-BOX = UprightSolids.box((0.0, 2.0, 0.5 * math.pi), 1.0, 0.4, (0.5, 0.6))
-"""A box that is 1 m long in y."""
+POST = UprightObstacles.cylinder(1.0, 0.0, 0.2, (0.0, 1.0))  #: A cylinder
+#: A box that is 1 m long in y
+BOX = UprightObstacles.box((0.0, 2.0, 0.5 * math.pi), 1.0, 0.4, (0.5, 0.6))
 
 
 @pytest.mark.parametrize(
@@ -25,17 +24,17 @@ BOX = UprightSolids.box((0.0, 2.0, 0.5 * math.pi), 1.0, 0.4, (0.5, 0.6))
 )
 def test_known_distances(start, end, expected):
     """A segment has the distances from post and box that are drawn for it."""
-    solids = UprightSolids.join([POST, BOX])
+    obstacles = UprightObstacles.join([POST, BOX])
     start, end = (np.array(point, dtype=float)[:, None] for point in (start, end))
-    assert solids.distances(start, end, math.inf)[0] == pytest.approx(expected[0], abs=1e-8)
-    assert solids.distances(end, start, math.inf)[0] == pytest.approx(expected[0], abs=1e-8)
+    assert obstacles.distances(start, end, math.inf)[0] == pytest.approx(expected[0], abs=1e-8)
+    assert obstacles.distances(end, start, math.inf)[0] == pytest.approx(expected[0], abs=1e-8)
 
 
 def test_no_place_on_a_segment_is_nearer():
     """The distance is the least of those of many places, but for their spacing."""
     rng = np.random.default_rng(6)
     count = 400
-    solids = UprightSolids(
+    obstacles = UprightObstacles(
         rng.uniform(-1.0, 1.0, (2, 5)),
         rng.uniform(-3.0, 3.0, 5),
         np.array([[0.0, 0.3, 0.5, 0.2, 0.0], [0.0, 0.1, 0.4, 0.0, 0.3]]),
@@ -45,10 +44,10 @@ def test_no_place_on_a_segment_is_nearer():
     )
     start = rng.uniform(-1.5, 1.5, (3, count, 1))
     end = start + rng.uniform(-0.7, 0.7, (3, count, 1))
-    share = np.linspace(0.0, 1.0, 400)[:, None, None]
-    points = start[:, None] + share * (end - start)[:, None]
-    grid = solids.point_distances(points).min(axis=0)
-    found = solids.distances(start, end, math.inf)
+    fraction = np.linspace(0.0, 1.0, 400)[:, None, None]
+    points = start[:, None] + fraction * (end - start)[:, None]
+    grid = obstacles.point_distances(points).min(axis=0)
+    found = obstacles.distances(start, end, math.inf)
     assert (found <= grid + 1e-8).all()
     assert (grid - found).max() < 0.002
 
@@ -62,23 +61,23 @@ def test_boxes_have_the_distance_of_their_outlines():
         [np.stack((sign * half[0] * np.ones(200), side * half[1])).T for sign in (-1.0, 1.0)]
         + [np.stack((side * half[0], sign * half[1] * np.ones(200))).T for sign in (-1.0, 1.0)]
     )
-    solids = UprightSolids.join([POST, BOX])
+    obstacles = UprightObstacles.join([POST, BOX])
     for pose in rng.uniform((-1.0, -1.0, -3.0), (2.0, 3.0, 3.0), (60, 3)):
         c, s = math.cos(pose[2]), math.sin(pose[2])
         points = outline @ np.array([[c, s], [-s, c]]) + pose[:2]
         flat = np.vstack((points.T, np.full(len(points), 0.55)))[..., None]
-        grid = solids.point_distances(flat).min(axis=0)
-        found = solids.box_distances(pose, half, (0.0, 0.55))
+        grid = obstacles.point_distances(flat).min(axis=0)
+        found = obstacles.box_distances(pose, half, (0.0, 0.55))
         assert (found <= grid + 1e-9).all()
         is_apart = found > 0.0
         assert (grid - found)[is_apart].max(initial=0.0) < 0.005
-        below = solids.box_distances(pose, half, (-1.0, -0.4))
+        below = obstacles.box_distances(pose, half, (-1.0, -0.4))
         assert below == pytest.approx(np.hypot(found, [0.4, 0.9]))
 
 
 def test_a_box_within_another_overlaps():
     """One box inside another touches no side of it, and has no distance."""
-    inner = UprightSolids.box((0.1, 0.0, 0.3), 0.2, 0.2, (0.0, 1.0))
+    inner = UprightObstacles.box((0.1, 0.0, 0.3), 0.2, 0.2, (0.0, 1.0))
     assert inner.box_distances(np.zeros(3), np.array([1.0, 1.0]), (0.0, 1.0))[0] == 0.0
-    outer = UprightSolids.box((0.0, 0.0, 0.0), 4.0, 4.0, (0.0, 1.0))
+    outer = UprightObstacles.box((0.0, 0.0, 0.0), 4.0, 4.0, (0.0, 1.0))
     assert outer.box_distances(np.zeros(3), np.array([0.1, 0.1]), (0.0, 1.0))[0] == 0.0

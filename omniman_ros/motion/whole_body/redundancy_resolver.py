@@ -23,7 +23,7 @@ NODE_SPACING = 0.04  #: Largest distance between nodes [m of u]
 MIN_INTERVALS = 8  #: Smallest number of intervals between nodes
 #: Weight of each joint's distance from its start; that of wrist_3, which only rotates the tool, is
 #: small.
-POSTURE_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.1])
+CONFIGURATION_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.1])
 #: Weights of the platform's derivatives by u, which smooth its motion over about 0.3 m
 PLATFORM_RATE_WEIGHTS = np.array([3.0, 3.0, 1.0]) * 0.3**2
 JOINT_RATE_WEIGHT = 0.3 * 0.3**2  #: Weight of the joints' derivatives by u
@@ -43,7 +43,7 @@ SINGULARITIES = ("elbow", "wrist", "shoulder")  #: Names of the arm's singularit
 
 
 @dataclass(frozen=True)
-class Postures:
+class RobotConfigurations:
     """Platform and arm at the nodes of a path."""
 
     at: Array  #: (n + 1,) parameters u of the nodes, equally spaced [m]
@@ -51,7 +51,7 @@ class Postures:
     arm: Array  #: (n + 1, 6) joint angles, unwrapped from the first on [rad]
 
 
-class PostureResolver:
+class RedundancyResolver:
     """Finds the motion of the platform for a path of the tool."""
 
     def __init__(
@@ -61,23 +61,23 @@ class PostureResolver:
         self._lower, self._upper = limits.lower[3:], limits.upper[3:]
         self._names = limits.names[3:]
 
-    def resolve(self, tool: ToolCurve, start: Array) -> Postures:
+    def resolve(self, tool: ToolCurve, start: Array) -> RobotConfigurations:
         """Find the postures along a path that starts at the tool's pose for axes `start` (9,).
 
         Raises:
             InputError: The arm starts near a singularity, or the path leaves its reach, comes too
                 close to a singularity or violates a joint limit; the message names the position.
         """
-        problem = _PostureProblem(self, tool, start)
+        problem = _ConfigurationProblem(self, tool, start)
         platform = problem.guess()
         min_margin = (1.0 + NODE_MARGIN_RESERVE) * self._options.singularity
         for margin_weight in MARGIN_WEIGHTS:
-            postures = problem.solution(platform, margin_weight)
-            if not self._impossible(postures.arm, start[3:], min_margin).any():
+            configurations = problem.solution(platform, margin_weight)
+            if not self._impossible(configurations.arm, start[3:], min_margin).any():
                 break
-            platform = postures.platform
-        self.require_possible(tool, postures.at, postures.arm, start[3:])
-        return postures
+            platform = configurations.platform
+        self.require_possible(tool, configurations.at, configurations.arm, start[3:])
+        return configurations
 
     def require_possible(self, tool: ToolCurve, at: Array, arm: Array, start: Array) -> None:
         """Require that joint angles (m, 6) at u (m,) are possible for an arm that starts at (6,).
@@ -90,7 +90,7 @@ class PostureResolver:
             k = int(impossible.argmax())
             margins, _ = self.margins(arm[k : k + 1], self.signs(start))
             raise InputError(
-                describe_place(tool, float(at[k])) + self.violation(arm[k], margins[0])
+                describe_position(tool, float(at[k])) + self.violation(arm[k], margins[0])
             )
 
     def _impossible(self, arm: Array, start: Array, min_margin: float) -> NDArray[np.bool_]:
@@ -228,8 +228,8 @@ def solve_block_tridiagonal(middle: Array, beside: Array, right: Array) -> Array
     return result
 
 
-class _PostureProblem:
-    def __init__(self, resolver: PostureResolver, tool: ToolCurve, start: Array) -> None:
+class _ConfigurationProblem:
+    def __init__(self, resolver: RedundancyResolver, tool: ToolCurve, start: Array) -> None:
         self._resolver, self._tool = resolver, tool
         self._model = resolver._model
         self._start, self._arm = start[:3], start[3:]
@@ -265,7 +265,7 @@ class _PostureProblem:
             offset = self._placed(first, offset)
             platform[first] = _carried(tool[first : first + 1], offset)[0]
 
-    def solution(self, platform: Array, margin_weight: float) -> Postures:
+    def solution(self, platform: Array, margin_weight: float) -> RobotConfigurations:
         """Optimise the postures from an initial guess on.
 
         Args:
@@ -276,14 +276,14 @@ class _PostureProblem:
         damping = 1e-6
         for _ in range(MAX_ITERATIONS):
             step = self._step(platform, arm, damping)
-            share = 1.0
-            while share > 0.01:
+            fraction = 1.0
+            while fraction > 0.01:
                 tried = platform.copy()
-                tried[1:] += share * step
+                tried[1:] += fraction * step
                 tried_arm, tried_cost = self._evaluated(tried)
                 if tried_cost < cost:
                     break
-                share *= 0.4
+                fraction *= 0.4
             else:
                 if damping > 1.0:
                     break
@@ -292,9 +292,9 @@ class _PostureProblem:
             gain = cost - tried_cost
             platform, arm, cost = tried, tried_arm, tried_cost
             damping = max(0.1 * damping, 1e-6)
-            if (gain < CONVERGED_GAIN * cost and share == 1.0) or gain < 1e-12:
+            if (gain < CONVERGED_GAIN * cost and fraction == 1.0) or gain < 1e-12:
                 break
-        return Postures(self.at, platform, np.vstack([self._arm, arm]))
+        return RobotConfigurations(self.at, platform, np.vstack([self._arm, arm]))
 
     def _possible(self, platform: Array, poses: Array) -> NDArray[np.bool_]:
         arm = self._model.arm_angles(platform, poses, self._branch, self._arm)
@@ -340,10 +340,10 @@ class _PostureProblem:
             least = np.where(np.isnan(margins), -np.inf, margins).min(axis=1)
             best = int(least.argmax())
             reason = self._resolver.violation(arm[best], margins[best])
-            raise InputError(describe_place(self._tool, float(self.at[k])) + reason)
+            raise InputError(describe_position(self._tool, float(self.at[k])) + reason)
         candidates, arm = candidates[possible], arm[possible]
         hinges, _ = self._resolver.hinges(arm, self._signs)
-        cost = (POSTURE_WEIGHTS * (arm - self._arm) ** 2).sum(axis=1) + MARGIN_WEIGHTS[0] * (
+        cost = (CONFIGURATION_WEIGHTS * (arm - self._arm) ** 2).sum(axis=1) + MARGIN_WEIGHTS[0] * (
             hinges**2
         ).sum(axis=1)
         cost += JUMP_WEIGHT * ((candidates - offset) ** 2).sum(axis=1)
@@ -359,7 +359,7 @@ class _PostureProblem:
         steps = np.diff(platform, axis=0)
         joint_steps = np.diff(np.vstack([self._arm, arm]), axis=0)
         cost = (
-            (POSTURE_WEIGHTS * (arm - self._arm) ** 2).sum()
+            (CONFIGURATION_WEIGHTS * (arm - self._arm) ** 2).sum()
             + self._margin_weight * (hinges**2).sum()
             + (self._platform_weights * steps**2).sum()
             + (self._joint_weights * joint_steps**2).sum()
@@ -374,10 +374,10 @@ class _PostureProblem:
         hinges, hinge_slopes = self._resolver.hinges(arm, self._signs)
         weights = self._margin_weight * (np.swapaxes(hinge_slopes, 1, 2) @ hinge_slopes)
         gradient = self._margin_weight * (hinges[:, None, :] @ hinge_slopes)[:, 0]
-        gradient += POSTURE_WEIGHTS * (arm - self._arm)
+        gradient += CONFIGURATION_WEIGHTS * (arm - self._arm)
         ends = np.full((len(arm), 1), 2.0)
         ends[-1] = 1.0
-        weights[:, range(6), range(6)] += POSTURE_WEIGHTS + ends * self._joint_weights
+        weights[:, range(6), range(6)] += CONFIGURATION_WEIGHTS + ends * self._joint_weights
         joint_steps = np.diff(np.vstack([self._arm, arm]), axis=0) * self._joint_weights
         steps = np.diff(platform, axis=0) * self._platform_weights
         gradient += joint_steps
@@ -391,7 +391,7 @@ class _PostureProblem:
         return -solve_block_tridiagonal(middle, beside, right)
 
 
-def describe_place(tool: ToolCurve, u: float) -> str:
+def describe_position(tool: ToolCurve, u: float) -> str:
     """Describe the point of the path at u [m] by the nearest of the given poses."""
     x, y, z = tool.position(u).tolist()
     k = tool.pose_index(u)

@@ -10,7 +10,7 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.obstacles.walls import REACH, Walls
+from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 
 DIRECTIONS = 48  #: Number of directions that are tried
 STEP = 0.02  #: Distance between two poses on a way [m]
@@ -27,7 +27,7 @@ TURNED = 0.05  #: Angle by which a motion may turn on a way [rad]
 
 
 @dataclass(frozen=True)
-class WayOut:
+class EscapePath:
     """Straight line on which the robot leaves what it overlaps, without going deeper.
 
     The robot cannot be where something stands: map or localisation are wrong there. Discs at the
@@ -41,7 +41,7 @@ class WayOut:
     end: Array  #: (3,) clear pose at which it ends, of the same heading
 
     @staticmethod
-    def find(pose: Array, environment: Environment) -> "WayOut | None":
+    def find(pose: Array, environment: Environment) -> "EscapePath | None":
         """Return the shortest way out from a pose (3,) in odom, or None if there is none.
 
         It is no longer than the robot: one that is wholly inside stays.
@@ -54,13 +54,13 @@ class WayOut:
             poses = np.tile(pose, (count, 1))
             poses[:, 0] += lengths * math.cos(angle)
             poses[:, 1] += lengths * math.sin(angle)
-            gaps = environment.gaps(poses, REACH)
+            gaps = environment.gaps(poses, MAX_COMPUTED_GAP)
             clear = (gaps > EXIT_GAP) & ~environment.is_inside(poses)
             if clear.any():
                 last = int(clear.argmax())
                 found.append((last, -float(gaps[last]), poses[last]))
         for _, _, end in sorted(found, key=lambda way: way[:2]):
-            way = WayOut(pose, end)
+            way = EscapePath(pose, end)
             if way._goes_no_deeper(environment):
                 return way
         return None

@@ -103,9 +103,9 @@ def test_margin_and_share_of_the_limits_are_published(rig):
     assert ahead == pytest.approx(rig.core.stability.support.rest_margin)
     rig.hold(LEFT, 0.3)
     assert rig.margins[-1].data < ahead - 0.03
-    share = rig.core.stability.share
-    assert 0.1 <= share < 0.8
-    assert reported_limit_scales(rig.health[-1]).posture == pytest.approx(share)
+    fraction = rig.core.stability.fraction
+    assert 0.1 <= fraction < 0.8
+    assert reported_limit_scales(rig.health[-1]).posture == pytest.approx(fraction)
     assert reported_limit_scales(rig.health[-1]).wheels == 1.0
     still = rig.margins[-1].data
     rig.drive(0.0, -0.5, 0.0, seconds=0.3)  # away from the arm: the point moves to its side

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from omniman_ros.can_drives.axis import Axis, AxisState, Demand, Receipt, Setpoint
-from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.axis import Axis, AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.frame import CanFrame
 
 
-class AxisGroup:
+class WheelAxes:
     """Passes frames and demands to the axes of all wheels, in the robot's order."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
@@ -33,7 +33,7 @@ class AxisGroup:
                 self._was_reset[k] = True
                 axis.reset(now)
 
-    def receive(self, frame: Frame, now: float) -> tuple[int, Receipt] | None:
+    def receive(self, frame: CanFrame, now: float) -> tuple[int, Receipt] | None:
         """Pass a frame to the axis whose drive has sent it; return its number and receipt."""
         key = (frame.id, frame.extended)
         owner = self._owners.get(key)
@@ -47,10 +47,10 @@ class AxisGroup:
         return None
 
     def tick(
-        self, demand: Demand, setpoints: Sequence[Setpoint], now: float
-    ) -> tuple[list[Frame], str]:
+        self, demand: Demand, setpoints: Sequence[DriveSetpoint], now: float
+    ) -> tuple[list[CanFrame], str]:
         """Return the frames of all axes, and why one of them made none, or an empty string."""
-        frames: list[Frame] = []
+        frames: list[CanFrame] = []
         failure = ""
         for axis, setpoint in zip(self.axes, setpoints, strict=True):
             try:

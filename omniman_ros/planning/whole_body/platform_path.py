@@ -10,7 +10,7 @@ from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline
 from omniman_ros.planning.whole_body.obstruction import Obstruction
 
 
-class NoWayError(InputError):
+class NoPathError(InputError):
     """There is no way for the platform; the message says where, and what is in the way."""
 
     def __init__(self, message: str, obstruction: Obstruction) -> None:
@@ -19,7 +19,7 @@ class NoWayError(InputError):
 
 
 @dataclass(frozen=True)
-class Way:
+class PlatformPath:
     """Poses of the platform at equally spaced places of the tool's path, joined smoothly."""
 
     start: float  #: Parameter of the tool's path at the first pose [m]

@@ -5,15 +5,14 @@ import threading
 import pytest
 
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.controller_clock import SimulatedTime
 from omniman_ros.simulation.ur.controller_server import ControllerServer
-from omniman_ros.simulation.ur.pace import SimulatedTime
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
 pytestmark = pytest.mark.processes  # the controller runs in a thread
 
 FREE = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
-TIMEOUT = 20.0
-"""Real time in which the thread runs the cycles that are due [s]."""
+TIMEOUT = 20.0  #: Real time in which the thread runs the cycles that are due [s]
 
 
 class CountingServer(ControllerServer):

@@ -8,16 +8,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
-from omniman_ros.motion.path.pace import LEAD, Demand, Pace
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.planning.whole_body.controller import CycleOutcome
-from omniman_ros.planning.whole_body.redundancy import PLACE
-from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import BodyTask
 
 END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
@@ -27,7 +27,7 @@ SHORTEST_STEP = 1e-6
 SLOWEST_PACE = 0.1
 
 
-class DodgingMotion:
+class AvoidanceMotion:
     """Follows a task of the whole body at most at a time; other limits count from the next on."""
 
     def __init__(self, limits: WholeBodyLimits) -> None:
@@ -48,7 +48,7 @@ class DodgingMotion:
         self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
 
-    def cycle(self, now: float, pace: float, around: Hindrances) -> CycleOutcome | None:
+    def cycle(self, now: float, pace: float, around: ObstacleSnapshot) -> CycleOutcome | None:
         """Choose the motion from a motion time on, which passes at a pace.
 
         The outcome is None while the robot does not follow its task, or has arrived.
@@ -57,17 +57,17 @@ class DodgingMotion:
             return None
         # In motion time, what is around a robot that is slowed down moves faster.
         stretch = 1.0 / max(pace, SLOWEST_PACE)
-        moving = Surroundings(around.moving.solids, stretch * around.moving.velocity)
+        moving = MovingObstacles(around.moving.obstacles, stretch * around.moving.velocity)
         slowed = replace(around, time=now, moving=moving, growth=stretch * around.growth)
         return self.task.cycle(now, slowed)
 
     def platform(self, now: float) -> Array:
         """Return the pose (3,) of the platform at a motion time [s]."""
-        return self.task.controller.motion.sample(now)[0][:PLACE]
+        return self.task.controller.motion.sample(now)[0][:PATH_PARAMETER]
 
-    def place(self, now: float) -> float:
+    def path_parameter(self, now: float) -> float:
         """Return the place on the path at a motion time [m]."""
-        return float(self.task.controller.motion.sample(now)[0][PLACE])
+        return float(self.task.controller.motion.sample(now)[0][PATH_PARAMETER])
 
     # ---- requests -----------------------------------------------------------------------------
 
@@ -147,8 +147,8 @@ class DodgingMotion:
         joint_change = _slopes(times, joint_rates)
         return (
             at.q,
-            np.hstack([rates[:, :PLACE], joint_rates]),
-            np.hstack([change[:, :PLACE], joint_change]),
+            np.hstack([rates[:, :PATH_PARAMETER], joint_rates]),
+            np.hstack([change[:, :PATH_PARAMETER], joint_change]),
         )
 
     def plan_times(self, times: Array) -> Array:
@@ -157,15 +157,15 @@ class DodgingMotion:
 
     def tool(self, times: Array) -> Array:
         """Return planned poses (m, 4, 4) of `tool0` in odom at motion times (m,) [s]."""
-        places = self.task.controller.motion.at(times)[0][:, PLACE]
+        places = self.task.controller.motion.at(times)[0][:, PATH_PARAMETER]
         return self.task.redundancy.path.pose(places)
 
-    def demand(self, times: Array) -> Demand | None:
+    def demand(self, times: Array) -> LimitUsage | None:
         """Return the use of the limits at increasing motion times (k,) [s]; None if idle."""
         if self._task is None:
             return None
         _, v, a = self.sample(times)
-        return Demand.of(self.limits.groups(1.0, 0.0), v, a)
+        return LimitUsage.of(self.limits.groups(1.0, 0.0), v, a)
 
     def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
         """Return the last stretch of a stream at a pace, down to rest; None if it is at rest."""
@@ -185,7 +185,7 @@ class DodgingMotion:
         if self._task is None:
             return 0.0
         end = self.task.redundancy.path.end
-        return min(max(self.place(now) / end, 0.0), 1.0) if end > 0.0 else 0.0
+        return min(max(self.path_parameter(now) / end, 0.0), 1.0) if end > 0.0 else 0.0
 
     def remaining(self, now: float) -> float:
         """Return the time to the end of the motion that is planned up to now [s]."""

@@ -14,20 +14,25 @@ import numpy as np
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
-from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.whole_body.model import planar_transform
-from omniman_ros.motion.whole_body.posture import POSTURE_WEIGHTS, PostureResolver, describe_place
+from omniman_ros.motion.whole_body.redundancy_resolver import (
+    CONFIGURATION_WEIGHTS,
+    RedundancyResolver,
+    describe_position,
+)
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps, in_odom
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
-from omniman_ros.planning.whole_body.parameters import WayOptions
-from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
-from omniman_ros.planning.whole_body.surroundings import Hindrances
-from omniman_ros.planning.whole_body.way import NoWayError, Way
+from omniman_ros.planning.whole_body.parameters import PathSearchOptions
+from omniman_ros.planning.whole_body.platform_path import NoPathError, PlatformPath
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
 
-REACH = 1.2  #: Largest horizontal distance of base_link from the tool that is tried [m]
+#: Largest horizontal distance of base_link from the tool that is tried [m]
+MAX_TOOL_DISTANCE = 1.2
 #: Largest change of the position on the grid, along each axis, and of the heading from layer to
 #: layer [cells].
 SHIFTS = 2
@@ -41,7 +46,7 @@ OWN_GAP = 0.0  #: Gap between the spheres of the robot's parts, which are larger
 
 
 @dataclass(frozen=True)
-class _Postures:
+class _Configurations:
     """Points of the grid from which the arm reaches the tool, in the tool's upright frame."""
 
     cell: Indices  #: Their numbers (n,) on the grid
@@ -50,7 +55,7 @@ class _Postures:
     cost: Array  #: Costs (n,) of the arm's shape
 
 
-class WaySearch:
+class PlatformPathSearch:
     """Finds ways of the platform, for a shape with few spheres and limits of the joints."""
 
     def __init__(
@@ -58,10 +63,10 @@ class WaySearch:
         redundancy: ToolRedundancy,
         path: ToolCurve,
         gaps: BodyGaps,
-        resolver: PostureResolver,
+        resolver: RedundancyResolver,
         limits: AxisLimits,
         least_margin: float,
-        options: WayOptions,
+        options: PathSearchOptions,
     ) -> None:
         self._redundancy, self._path, self._gaps = redundancy, path, gaps
         self._resolver, self._options = resolver, options
@@ -72,16 +77,16 @@ class WaySearch:
         room = math.pi - SHEET_END
         self._lower: Array = np.minimum(np.maximum(lower, centre - room), centre)
         self._upper: Array = np.maximum(np.minimum(upper, centre + room), centre)
-        self._known: dict[tuple[int, ...], _Postures] = {}
+        self._known: dict[tuple[int, ...], _Configurations] = {}
 
-    def find(self, start: Array, around: Hindrances) -> Way:
+    def find(self, start: Array, around: ObstacleSnapshot) -> PlatformPath:
         """Find a way from coordinates (4,) to the end of the path, past what stands.
 
         Raises:
             NoWayError: There is none.
         """
         o, path = self._options, self._path
-        first = float(start[PLACE])
+        first = float(start[PATH_PARAMETER])
         count = max(3, math.ceil((path.end - first) / o.layer))
         places = np.linspace(first, path.end, count + 1)
         upright = path.at(places)[:, [0, 1, 3]]  # x, y and psi of the tool
@@ -100,56 +105,56 @@ class WaySearch:
             cost = cost + price.reshape(grid.shape)
             if not np.isfinite(cost).any():
                 self._refuse(float(places[k - 1]), block, around.labels())
-        return Way(first, path.end, _traced(grid, cost, choices, upright, start))
+        return PlatformPath(first, path.end, _traced(grid, cost, choices, upright, start))
 
     def _priced(
         self,
         grid: "_Grid",
         place: float,
         upright: Array,
-        standing: UprightSolids,
+        standing: UprightObstacles,
         reached: Array,
     ) -> tuple[Array, tuple[str, int] | None]:
         """Return the costs (n,) of all points of the grid at a place of the path [m].
 
         They are infinite where the robot cannot be, and where it does not come from the layer
-        before (`reached`). The part and the solid that are in the way of the point with the
+        before (`reached`). The part and the obstacle that are in the way of the point with the
         widest gap come second. `upright` (3,) is x, y and psi of the tool.
         """
         o, result = self._options, np.full(math.prod(grid.shape), np.inf)
-        postures = self._postures(grid, place)
-        chosen = np.flatnonzero(reached[postures.cell])
+        configurations = self._configurations(grid, place)
+        chosen = np.flatnonzero(reached[configurations.cell])
         if not len(chosen):
             return result, None
         near = _turned(standing, upright)
-        far = REACH + self._gaps.radius + o.wide
+        far = MAX_TOOL_DISTANCE + self._gaps.radius + o.wide
         distance = np.hypot(*near.centre) - np.hypot(*near.half) - near.rounding
         index = np.flatnonzero(distance < far)
         if not len(index):
-            result[postures.cell[chosen]] = postures.cost[chosen]
+            result[configurations.cell[chosen]] = configurations.cost[chosen]
             return result, None
         near = near.select(index)
-        platform = self._gaps.platform(postures.pose[chosen], near)
+        platform = self._gaps.platform(configurations.pose[chosen], near)
         least = platform.min(axis=1)
         is_free = least >= o.margin
         if not is_free.any():
             best = int(least.argmax())
             return result, (self._gaps.names[0], int(index[platform[best].argmin()]))
         chosen, gap = chosen[is_free], least[is_free]
-        centres = np.moveaxis(postures.placed.centre[chosen], -1, 0)
-        arm, sphere, solid = self._gaps.spheres_least(centres, near)
+        centres = np.moveaxis(configurations.placed.centre[chosen], -1, 0)
+        arm, sphere, obstacle = self._gaps.spheres_least(centres, near)
         gap = np.minimum(gap, arm)
         is_free = gap >= o.margin
         if not is_free.any():
             best = int(arm.argmax())
             part = self._gaps.spheres.part[sphere[best]]
-            return result, (self._gaps.spheres.names[part], int(index[solid[best]]))
+            return result, (self._gaps.spheres.names[part], int(index[obstacle[best]]))
         chosen, gap = chosen[is_free], gap[is_free]
         narrow = np.maximum(o.wide - gap, 0.0) / o.wide
-        result[postures.cell[chosen]] = postures.cost[chosen] + o.narrow * narrow**2
+        result[configurations.cell[chosen]] = configurations.cost[chosen] + o.narrow * narrow**2
         return result, None
 
-    def _postures(self, grid: "_Grid", place: float) -> _Postures:
+    def _configurations(self, grid: "_Grid", place: float) -> _Configurations:
         """Return the postures at a place of the path, perhaps those of a similar place."""
         path = self._path
         _, _, height, _, *tilt = path.at(np.array([place]))[0].tolist()
@@ -158,7 +163,7 @@ class WaySearch:
             self._known[key] = self._found(grid, place)
         return self._known[key]
 
-    def _found(self, grid: "_Grid", place: float) -> _Postures:
+    def _found(self, grid: "_Grid", place: float) -> _Configurations:
         """Return all points of the grid from which the arm reaches the tool at a place."""
         path = self._path
         x, y, _, psi, *_ = path.at(np.array([place]))[0].tolist()
@@ -177,9 +182,9 @@ class WaySearch:
         is_apart = self._gaps.own(placed) >= OWN_GAP if len(cell) else np.zeros(0, dtype=bool)
         cell, pose, arm = cell[is_apart], pose[is_apart], arm[is_apart]
         difference = arm - self._redundancy.centre
-        cost = self._options.shape * (POSTURE_WEIGHTS * difference**2).sum(axis=1)
+        cost = self._options.shape * (CONFIGURATION_WEIGHTS * difference**2).sum(axis=1)
         centre = in_odom(pose, placed.centre[is_apart])
-        return _Postures(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
+        return _Configurations(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
 
     def _within_reach(self, pose: Array, tool: Array) -> Array:
         """Return which poses (n, 3) of the platform have the wrist within the arm's length."""
@@ -200,16 +205,16 @@ class WaySearch:
         found = Obstruction(Cause.REACH, place)
         if block is not None:
             found = Obstruction(Cause.STANDING, place, block[0], labels[block[1]])
-        where = describe_place(self._path, place)
-        raise NoWayError(f"{where}beyond it, {found.reason}", found)
+        where = describe_position(self._path, place)
+        raise NoPathError(f"{where}beyond it, {found.reason}", found)
 
 
 class _Grid:
     """Positions and headings relative to the tool's upright frame; the start is one of them."""
 
-    def __init__(self, options: WayOptions, start: Array) -> None:
+    def __init__(self, options: PathSearchOptions, start: Array) -> None:
         self._options = options
-        half = math.ceil(REACH / options.grid)
+        half = math.ceil(MAX_TOOL_DISTANCE / options.grid)
         lines = []
         for k in (0, 1):
             # The start is in the middle of a cell.
@@ -306,9 +311,9 @@ def _carried(frame: Array, pose: Array) -> Array:
     return np.array([frame[0] + c * x - s * y, frame[1] + s * x + c * y, frame[2] + yaw])
 
 
-def _turned(solids: UprightSolids, frame: Array) -> UprightSolids:
-    """Return solids in a planar frame (3,)."""
+def _turned(obstacles: UprightObstacles, frame: Array) -> UprightObstacles:
+    """Return obstacles in a planar frame (3,)."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
-    offset = solids.centre - frame[:2, None]
+    offset = obstacles.centre - frame[:2, None]
     centre = np.array([[c, s], [-s, c]]) @ offset
-    return replace(solids, centre=centre, yaw=solids.yaw - frame[2])
+    return replace(obstacles, centre=centre, yaw=obstacles.yaw - frame[2])

@@ -1,4 +1,4 @@
-"""Upright solids: what stands on the floor, hangs above it, or is the platform itself.
+"""Upright obstacles: what stands on the floor, hangs above it, or is the platform itself.
 
 The first axis of an array of points holds their three coordinates.
 """
@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]  #: Array of flags
 
 
 @dataclass(frozen=True)
-class UprightSolids:
+class UprightObstacles:
     """Boxes with vertical edges that may be rounded: boxes, cylinders, and walls with round ends.
 
     A solid is the set of all points that are within `rounding` of a rectangle horizontally, and
@@ -37,7 +37,7 @@ class UprightSolids:
     @staticmethod
     def box(
         pose: Sequence[float], length: float, width: float, heights: tuple[float, float]
-    ) -> "UprightSolids":
+    ) -> "UprightObstacles":
         """Return one box by the pose (x, y, yaw) of its centre and its lengths [m, rad].
 
         Args:
@@ -47,7 +47,7 @@ class UprightSolids:
             heights: Heights of its lower and its upper side [m].
         """
         x, y, yaw = pose
-        return UprightSolids(
+        return UprightObstacles(
             np.array([[x], [y]]),
             np.array([yaw]),
             np.array([[0.5 * length], [0.5 * width]]),
@@ -59,9 +59,9 @@ class UprightSolids:
     @staticmethod
     def cylinder(
         x: float, y: float, radius: float, heights: tuple[float, float]
-    ) -> "UprightSolids":
+    ) -> "UprightObstacles":
         """Return one cylinder at a position [m] with a radius [m] between two heights [m]."""
-        return UprightSolids(
+        return UprightObstacles(
             np.array([[x], [y]]),
             np.zeros(1),
             np.zeros((2, 1)),
@@ -71,12 +71,12 @@ class UprightSolids:
         )
 
     @staticmethod
-    def join(parts: Sequence["UprightSolids"]) -> "UprightSolids":
-        """Return all solids of several sets, in their order."""
+    def join(parts: Sequence["UprightObstacles"]) -> "UprightObstacles":
+        """Return all obstacles of several sets, in their order."""
         if not parts:
             flat = np.zeros((2, 0))
-            return UprightSolids(flat, flat[0], flat, flat[0], flat[0], flat[0])
-        return UprightSolids(
+            return UprightObstacles(flat, flat[0], flat, flat[0], flat[0], flat[0])
+        return UprightObstacles(
             *(
                 np.concatenate([getattr(part, name) for part in parts], axis=-1)
                 for name in ("centre", "yaw", "half", "rounding", "lower", "upper")
@@ -86,9 +86,9 @@ class UprightSolids:
     def __len__(self) -> int:
         return len(self.yaw)
 
-    def select(self, index: Indices) -> "UprightSolids":
-        """Return the solids with some indices, which may repeat."""
-        return UprightSolids(
+    def select(self, index: Indices) -> "UprightObstacles":
+        """Return the obstacles with some indices, which may repeat."""
+        return UprightObstacles(
             self.centre[:, index],
             self.yaw[index],
             self.half[:, index],
@@ -98,7 +98,7 @@ class UprightSolids:
         )
 
     def _local(self, points: Array) -> Array:
-        """Return points (3, ..., M) in the frames of the solids; heights stay."""
+        """Return points (3, ..., M) in the frames of the obstacles; heights stay."""
         x, y = points[0] - self.centre[0], points[1] - self.centre[1]
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         return np.stack((c * x + s * y, c * y - s * x, np.broadcast_to(points[2], x.shape)))
@@ -110,7 +110,7 @@ class UprightSolids:
         return result
 
     def _outward(self, points: Array) -> Array:
-        """Return vectors (3, ..., M) to points (3, ..., M) from the nearest of the solids."""
+        """Return vectors (3, ..., M) to points (3, ..., M) from the nearest of the obstacles."""
         result = np.empty(points.shape)
         for i in (0, 1):
             half = self.half[i]
@@ -123,10 +123,10 @@ class UprightSolids:
         return result
 
     def distances(self, start: Array, end: Array, reach: float) -> Array:
-        """Return the distances (..., M) between segments and solids; zero where they meet [m].
+        """Return the distances (..., M) between segments and obstacles; zero where they meet [m].
 
         Starts and ends are (3, ..., M), one for each solid; a last axis of length 1 stands for all
-        solids. Distances above `reach` may be too small, but are not below it.
+        obstacles. Distances above `reach` may be too small, but are not below it.
         """
         first, last = self._local(start), self._local(end)
         lower, upper = (
@@ -142,7 +142,7 @@ class UprightSolids:
         return distances_along(outward, bound, first, last - first, reach)
 
     def box_distances(self, poses: Array, half: Array, heights: tuple[float, float]) -> Array:
-        """Return the distances (..., M) of an upright box from solids; zero where they meet [m].
+        """Return the distances (..., M) of an upright box from obstacles; zero on contact [m].
 
         The centre of its rectangle has poses (..., 3); half length and half width are (2,) [m].
 

@@ -37,7 +37,7 @@ class FaultReasons:
         self._reasons.clear()
 
 
-class Watch:
+class DriveSupervisor:
     """Supervises the reports of a drive, and whether it follows its commands."""
 
     def __init__(self, settings: AxisSettings) -> None:

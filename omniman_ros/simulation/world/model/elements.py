@@ -14,8 +14,8 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 from omniman_ros.simulation.world.scene import Column, Crate, Load, Person, Scene
 from omniman_ros.simulation.world.solids import (
-    Box,
     Cylinder,
+    UprightBox,
     column_solid,
     plain_solids,
     prism_corners,
@@ -29,7 +29,7 @@ def person_joints(name: str) -> tuple[str, str]:
     return f"{name}_x", f"{name}_y"
 
 
-def add_things(assets: Element, world: Element, scene: Scene, deck: float) -> None:
+def add_elements(assets: Element, world: Element, scene: Scene, deck: float) -> None:
     """Add the elements of a scene, each as a body of its name; loads on the robot at the origin.
 
     A column is a body that a study may place elsewhere (`mocap`); nothing else moves it. Loads lie
@@ -53,8 +53,8 @@ def _add_shape(body: Element, contype: int, **shape: Value) -> None:
     add(body, "geom", contype=str(contype), conaffinity=MEETS, group=str(WORLD_GROUP), **shape)
 
 
-def _add_solid(body: Element, solid: Box | Cylinder) -> None:
-    if isinstance(solid, Box):
+def _add_solid(body: Element, solid: UprightBox | Cylinder) -> None:
+    if isinstance(solid, UprightBox):
         half = [0.5 * edge for edge in solid.size]
         rotation = (0.0, 0.0, solid.yaw)
         _add_shape(body, 0, type="box", pos=solid.centre, euler=rotation, size=half)

@@ -9,7 +9,7 @@ CATCH_UP_PERIOD = 0.002  #: Period of cycles that are late on real time [s]
 MAX_WAIT = 0.1  #: Longest wait for simulated time before the caller may look at other things [s]
 
 
-class Pace(Protocol):
+class ControllerClock(Protocol):
     """Clock of a controller, which can be waited for."""
 
     def now(self) -> float:
@@ -22,7 +22,7 @@ class Pace(Protocol):
         """Let a client that was delayed as well catch up, between two cycles that are late."""
 
 
-class RealTime:
+class MonotonicClock:
     """The monotonic clock of the machine."""
 
     def now(self) -> float:

@@ -8,9 +8,9 @@ import pytest
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.obstacles.escape_path import EXIT_GAP, EscapePath
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
-from omniman_ros.planning.obstacles.way_out import EXIT_GAP, WayOut
 from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])
@@ -35,7 +35,7 @@ def around(*boxes, known=None):
 def way_of(environment, pose=AT_ORIGIN):
     """Return direction [rad] and length [m] of the way out."""
     assert environment.touches(pose)
-    way = WayOut.find(pose, environment)
+    way = EscapePath.find(pose, environment)
     assert way is not None and not environment.touches(way.end)
     assert environment.gaps(way.end[None], 0.3)[0] > EXIT_GAP
     x, y = (way.end - way.start)[:2]
@@ -60,15 +60,15 @@ def test_the_way_out_of_a_thin_wall_leads_back(depth):
 def test_a_robot_that_is_wholly_inside_has_no_way_out():
     inside = around((-1.5, -1.5, 1.5, 1.5))
     assert inside.touches(AT_ORIGIN)
-    assert WayOut.find(AT_ORIGIN, inside) is None
+    assert EscapePath.find(AT_ORIGIN, inside) is None
     assert inside.nearest(AT_ORIGIN) == "the map at (0.00, 0.00) m"
 
 
 def test_no_way_out_leads_through_what_is_not_touched_yet():
     half_plane = (-3.0, -3.0, 0.3, 3.0)
-    assert WayOut.find(AT_ORIGIN, around(half_plane, (0.6, -3.0, 0.7, 3.0))) is None
+    assert EscapePath.find(AT_ORIGIN, around(half_plane, (0.6, -3.0, 0.7, 3.0))) is None
     disc = around(half_plane, known=ellipses((0.8, 0.0, 0.25)))
-    assert WayOut.find(AT_ORIGIN, disc) is None
+    assert EscapePath.find(AT_ORIGIN, disc) is None
 
 
 def test_the_way_out_of_an_obstacle_leads_away_from_it():
@@ -77,7 +77,7 @@ def test_the_way_out_of_an_obstacle_leads_away_from_it():
 
 
 def test_a_motion_is_on_the_way_out_unless_it_goes_back_aside_or_turns():
-    way = WayOut(AT_ORIGIN, np.array([0.7, 0.0, 0.0]))
+    way = EscapePath(AT_ORIGIN, np.array([0.7, 0.0, 0.0]))
     times = np.arange(5.0)
     ahead = 0.1 * times
     for poses, left in (
@@ -92,7 +92,7 @@ def test_a_motion_is_on_the_way_out_unless_it_goes_back_aside_or_turns():
 
 def test_the_walls_beside_the_way_are_left_out_and_the_others_stay():
     half_plane = around((-3.0, -3.0, 0.3, 3.0), (1.5, -0.5, 1.6, 0.5))
-    way = WayOut.find(AT_ORIGIN, half_plane)
+    way = EscapePath.find(AT_ORIGIN, half_plane)
     kept = way.without(half_plane.walls, half_plane.footprint, 0.05)
     at_robot = np.abs(half_plane.walls.centers - [0.275, 0.0]) < [0.01, 0.25]
     assert at_robot.all(axis=1).any()

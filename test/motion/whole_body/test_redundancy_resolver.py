@@ -5,7 +5,10 @@ import pytest
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.whole_body.posture import PostureResolver, solve_block_tridiagonal
+from omniman_ros.motion.whole_body.redundancy_resolver import (
+    RedundancyResolver,
+    solve_block_tridiagonal,
+)
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline, WholeBodyPath
 from test.motion.whole_body.tool_support import (
@@ -23,7 +26,7 @@ from test.motion.whole_body.tool_support import (
     waves,
 )
 
-RESOLVER = PostureResolver(MODEL, LIMITS, OPTIONS)
+RESOLVER = RedundancyResolver(MODEL, LIMITS, OPTIONS)
 
 
 def resolved(poses, start=START, resolver=RESOLVER):
@@ -130,7 +133,7 @@ def test_the_platform_turns_where_a_joint_reaches_its_limit():
         ArmParameters(lower=(-6.28, -6.28, -3.14, -6.28, -6.28, -0.3), upper=(6.28,) * 5 + (0.3,))
     )
     for angle in (1.5, -1.5):
-        found = resolved(turn(angle), resolver=PostureResolver(MODEL, narrow, OPTIONS))
+        found = resolved(turn(angle), resolver=RedundancyResolver(MODEL, narrow, OPTIONS))
         assert np.abs(found.arm[:, 5]).max() <= 0.3
 
 
@@ -163,7 +166,7 @@ def test_a_joint_at_its_limit_is_named():
     )
     stiff = body_limits(arm)
     with pytest.raises(InputError, match=r"_joint is at .* its limit is"):
-        resolved(poses, resolver=PostureResolver(MODEL, stiff, OPTIONS))
+        resolved(poses, resolver=RedundancyResolver(MODEL, stiff, OPTIONS))
 
 
 def test_the_platform_spline_meets_its_end_points_and_is_smooth():
