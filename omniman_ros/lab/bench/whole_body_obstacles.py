@@ -74,7 +74,7 @@ KINDS = {
 }
 SAMPLES = 40  #: number of configurations of a motion that are looked at where something is placed
 TRIED, TRIES = 60, 40  #: number of places that are tried at a time, and of witnesses for a scene
-METHODS = {"dodging": "the body dodges", "waiting": "fixed posture that waits"}
+METHODS = {"dodging": "the body avoids", "waiting": "fixed posture that waits"}
 
 
 @dataclass(frozen=True)

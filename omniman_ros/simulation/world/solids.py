@@ -67,7 +67,7 @@ def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:
 
 
 def footprint(solid: Solid) -> tuple[Array, float]:
-    """Return points (k, 2) and a radius: an obstacle on the floor is their hull grown by it [m]."""
+    """Return points (k, 2) and a radius: an obstacle on the floor is their hull grown by it."""
     centre = np.array([solid.centre[:2]])
     if isinstance(solid, Cylinder):
         return centre, solid.radius
