@@ -119,9 +119,6 @@ def _prefix() -> Path:
     return Path(spec.origin).parents[4]
 
 
-# ---- build: a process of its own, as the generators print and want an environment --------------
-
-
 def _generate(package: str, work: Path) -> None:
     from rosidl_adapter.cli import TranslateActionToIDL, TranslateMsgToIDL
     from rosidl_generator_c.cli import GenerateC

@@ -60,8 +60,6 @@ class DemoDriver:
         self.expects_stop = False  #: Whether nodes are meant to be stopped at the moment
         self._last_check = time.monotonic()
 
-    # ---- state ------------------------------------------------------------------------------
-
     @property
     def now(self) -> float:
         """ROS time [s]."""
@@ -82,8 +80,6 @@ class DemoDriver:
     def note(self) -> str:
         """Note beside the progress: the pose of the platform."""
         return pose_text(self.pose)
-
-    # ---- waiting ----------------------------------------------------------------------------
 
     def wait_until_ready(self) -> None:
         """Wait until all topics that the demo needs are published and subscribed to.
@@ -154,8 +150,6 @@ class DemoDriver:
         missing += [f"a subscriber of {topic}" for topic in self.robot.unconnected_topics]
         return ", ".join(missing)
 
-    # ---- motions ----------------------------------------------------------------------------
-
     def follow(
         self,
         name: str,
@@ -199,8 +193,6 @@ class DemoDriver:
     def halt(self) -> None:
         """Send a twist of zero."""
         self.robot.send_twist((0.0, 0.0, 0.0))
-
-    # ---- services ---------------------------------------------------------------------------
 
     def call(self, client: Client, request: Any) -> Any:
         """Call a service, and return its answer.

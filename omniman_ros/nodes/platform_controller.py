@@ -133,8 +133,6 @@ class PlatformControllerNode(OmnimanNode):
     def _reset(self) -> None:
         self.core.reset(self.now())
 
-    # ---- output and shutdown-------------------------------------------------------------------
-
     def tick(self) -> None:
         """Publish a command, and odometry and the coupling error at their own rates."""
         while self._waiting:

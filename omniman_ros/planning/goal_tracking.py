@@ -65,8 +65,6 @@ class GoalTracker:
         """Whether the robot touches something, and no way leads out."""
         return self.route_planner is not None and self.route_planner.is_trapped
 
-    # ---- changes of the goal ----------------------------------------------------------------
-
     def accept(self, goal: Goal, model: PlanningModel, limits: EffectiveLimits) -> None:
         """Track a goal from now on."""
         self.goal = goal
@@ -95,8 +93,6 @@ class GoalTracker:
         """
         if self.goal is not None:
             self.goal = self.goal.displaced(change)
-
-    # ---- during the motion ------------------------------------------------------------------
 
     def target(self, start: Array, due: float, limits: EffectiveLimits) -> PlanTarget:
         """Return the goal of the plan that begins at a state (6,) at the time `due` [s]."""

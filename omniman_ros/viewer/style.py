@@ -12,22 +12,16 @@ def rgb(code: str) -> Colour:
 GREEN, DARK_ORANGE, RED, BLUE = "#2b8a3e", "#b35c00", "#c92a2a", "#1864ab"
 GRAY, DARK_GRAY, TEAL = "#868e96", "#495057", "#0c8599"
 
-# ---- text -------------------------------------------------------------------------------------
-
 GOOD = GREEN  #: Colour of a state that is as it should be
 WARNING = DARK_ORANGE  #: Colour of a warning
 BAD = RED  #: Colour of an error or a stop
 MUTED = GRAY  #: Colour of labels and hints
 PROMINENT = BLUE  #: Colour of the advice to a first-time user
 
-# ---- plots ------------------------------------------------------------------------------------
-
 #: Colours of the curves of a plot, in order
 SERIES = ("#1971c2", "#e8590c", "#2f9e44", "#9c36b5", "#c2255c", TEAL, "#5c940d", DARK_GRAY)
 #: Colour of the lines that mark a limit in a plot
 LIMIT = "#e03131"
-
-# ---- lines of the scene -----------------------------------------------------------------------
 
 #: Colour of the reference, of the arrow on the deck and of the marks on the wheels
 ACCENT = rgb("#fd7e14")
@@ -47,8 +41,6 @@ FOOTPRINT = rgb("#7048e8")
 GRID_CELL = rgb("#dee2e6")
 GRID_SECTION = rgb("#bec4ca")
 
-# ---- robot ------------------------------------------------------------------------------------
-
 DECK = rgb("#adb5bd")
 CHASSIS = rgb(DARK_GRAY)
 RUBBER = rgb("#262a2e")
@@ -56,8 +48,6 @@ WHEEL_PLATES = rgb("#ced4da")
 ARM_TUBES = rgb("#d6dbe0")
 ARM_CAPS = rgb("#266cc4")
 ARM_FOOT = rgb(GRAY)
-
-# ---- objects that can be dragged --------------------------------------------------------------
 
 START = rgb("#c91818")
 GOAL = rgb("#104acc")
@@ -72,8 +62,6 @@ VELOCITY_ARROW = rgb("#2c0c04")
 WAYPOINT = rgb("#c83408")
 CAPSULE = rgb("#5028b0")
 CONTACT = rgb("#c00000")
-
-# ---- sizes ------------------------------------------------------------------------------------
 
 PANEL_WIDTH = 310.0  #: Width of the panels at either side [px]
 STOP_PANEL_HEIGHT = 100  #: Height of the panel with Stop and Reset [px]

@@ -153,9 +153,6 @@ def test_postures_that_cannot_be_used_are_refused(loaded, configurations, why):
         loaded.footprint(configurations, MARGIN)
 
 
-# ---- rectangles ---------------------------------------------------------------------------------
-
-
 def test_a_rectangle_beside_base_link_is_where_its_corners_are():
     box = Rectangles(np.array([0.6, -0.2]), np.array(0.7), np.array([0.3, 0.1]))
     pose = np.array([[1.0, 2.0, -2.2]])

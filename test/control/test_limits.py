@@ -39,9 +39,6 @@ def rates(twists, dt):
     return acceleration, np.diff(acceleration, axis=0, prepend=np.zeros((1, 3))) / dt
 
 
-# ---- clamp, saturation ------------------------------------------------------------------------
-
-
 @given(VECTOR)
 def test_clamp_keeps_the_direction_and_the_limit(vector):
     clamped = clamp(vector, (0.5, 0.7))
@@ -67,9 +64,6 @@ def test_saturation_scales_all_wheels_by_one_factor(speeds):
     assert factor == 1 or abs(speeds * factor).max() == pytest.approx(14.0)
 
 
-# ---- ramp_down --------------------------------------------------------------------------------
-
-
 @given(VECTOR, STEP)
 def test_ramp_down_reaches_exactly_zero_in_the_analytic_time(twist, dt):
     limit, start = (1.2, 2.0), twist
@@ -90,9 +84,6 @@ def test_ramp_down_changes_nothing_in_a_zero_time_step():
     twist = np.array([0.5, 0.1, 0.2])
     np.testing.assert_array_equal(ramp_down(twist, (1, 1), 0.0), twist)
     assert not ramp_down(np.zeros(3), (1, 1), 0.0).any()
-
-
-# ---- slew -------------------------------------------------------------------------------------
 
 
 @given(VECTOR, VECTOR, STEP)
@@ -123,8 +114,6 @@ def test_slew_uses_the_acceleration_or_the_deceleration_limit(start, target, rat
     after = slew(np.array(start, float), np.array(target, float), LIMITS, 0.01)
     assert np.linalg.norm(after - start) == pytest.approx(0.01 * rate)
 
-
-# ---- TwistLimiter -----------------------------------------------------------------------------
 
 TARGETS = st.lists(st.tuples(INSIDE, st.integers(1, 120)), min_size=1, max_size=6)
 

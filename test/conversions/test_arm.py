@@ -112,9 +112,6 @@ def test_preview_without_points_is_rejected():
         arm_conversions.joint_preview(message(list(NAMES)), 0.0, NAMES)
 
 
-# ---- tool poses -------------------------------------------------------------------------------
-
-
 def tool_message(quaternions, frame="odom", places=None):
     message = Path()
     message.header.frame_id = frame

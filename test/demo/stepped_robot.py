@@ -51,8 +51,6 @@ class SteppedRobot:
         self._dead = []
         self._dead_since = math.inf
 
-    # ---- session ----------------------------------------------------------------------------
-
     def now(self):
         return self.time
 
@@ -68,8 +66,6 @@ class SteppedRobot:
                 return False
             self._step(STEP)
         return True
-
-    # ---- node -------------------------------------------------------------------------------
 
     def get_clock(self):
         return SimpleNamespace(now=lambda: Time(nanoseconds=round(1e9 * self.time)))
@@ -103,8 +99,6 @@ class SteppedRobot:
 
         return SimpleNamespace(srv_name=name, call_async=call_async)
 
-    # ---- commands ---------------------------------------------------------------------------
-
     def _on_cmd_vel(self, message):
         self._twist = np.array([message.linear.x, message.linear.y, message.angular.z])
 
@@ -131,8 +125,6 @@ class SteppedRobot:
     def _on_emergency_stop(self, message):
         if message.data and "stop" not in self.defects:
             self.stopped = True
-
-    # ---- time -------------------------------------------------------------------------------
 
     def _step(self, seconds):
         self.time += seconds

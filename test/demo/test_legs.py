@@ -140,9 +140,6 @@ def test_a_platform_that_is_still_driven_does_not_get_a_path(monkeypatch):
         legs.drive_path(driver)
 
 
-# ---- what is sent ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", robots.ALL)
 def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
     bounds = build(TwistLimits, robots.values(name), "limits.")

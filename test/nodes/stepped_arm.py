@@ -66,8 +66,6 @@ class SteppedArm(SteppedLink):
     def is_paused(self):
         return self.controller.runtime is Cb3RuntimeState.PAUSED
 
-    # ---- the rest of a `ControllerLink` ---------------------------------------------------------
-
     def wait(self, until, others):
         if others and self.process.has_news:
             return others

@@ -123,9 +123,6 @@ def test_a_route_leads_the_arm_around_what_the_platform_passes_below(heights, tu
     assert leaves_the_line == turns
 
 
-# ---- drives -------------------------------------------------------------------------------------
-
-
 def arm_gap(sim, known):
     """Return the least distance of arm and platform from what is at their height [m]."""
     poses = np.array(sim.poses)

@@ -33,9 +33,6 @@ def assert_continuous(motion, first, last, speed=3.0, acceleration=6.0):
     assert np.abs(np.diff(velocities, axis=0)[inner]).max() < acceleration * tick + 1e-9
 
 
-# ---- interpolation ----------------------------------------------------------------------------
-
-
 def test_motion_meets_its_nodes_and_constant_acceleration_between_them():
     motion = a_motion()
     poses, velocities = motion.at(motion.times)
@@ -82,9 +79,6 @@ def test_states_are_transformed_to_odom():
     np.testing.assert_allclose(motion.velocities[1], [-0.1, 0.5, 0.0], atol=1e-12)
     c, s = np.cos(0.5), np.sin(0.5)
     np.testing.assert_allclose(motion.velocities[0], [0.6 * c + 0.2 * s, 0.6 * s - 0.2 * c, 0.3])
-
-
-# ---- braking ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -141,9 +135,6 @@ def test_braking_is_defined_before_the_start_and_after_the_end():
     rests = motion.braked(motion.end + 1.0, DECELERATION)
     np.testing.assert_allclose(rests.poses[-1], motion.poses[-1])
     assert rests.end == pytest.approx(motion.end + 1.0 + BRAKING_STEP)
-
-
-# ---- parts ------------------------------------------------------------------------------------
 
 
 def test_part_of_a_motion_equals_the_motion():

@@ -57,8 +57,6 @@ class FrictionExperiment:
         self.phase = ExperimentPhase.RAMP  #: Current phase
         self.level_index = -1  #: Index of the current level, -1 for the first, low voltage
 
-    # ---- feedback -----------------------------------------------------------------------------
-
     def on_wheels(self, stamp: float, position: Array, velocity: Array, now: float) -> None:
         """Process a state of the wheels, see :meth:`FeedbackMonitor.on_wheels`.
 
@@ -89,8 +87,6 @@ class FrictionExperiment:
         return self.phase is ExperimentPhase.MEASURE or (
             self.phase is ExperimentPhase.SETTLE and now - self._phase_start > delay
         )
-
-    # ---- commands -----------------------------------------------------------------------------
 
     @property
     def is_at_rest(self) -> bool:
@@ -131,8 +127,6 @@ class FrictionExperiment:
             self._ramp_to_rest(now, step)
         voltages: Array = self._level * self._plan.signs
         return voltages
-
-    # ---- phases -------------------------------------------------------------------------------
 
     @property
     def _is_check(self) -> bool:

@@ -58,8 +58,6 @@ class FeedbackMonitor:
         limit: Array = strain + 2.0 * ramp
         return limit
 
-    # ---- feedback -----------------------------------------------------------------------------
-
     def on_wheels(self, stamp: float, position: Array, velocity: Array, now: float) -> float:
         """Process a state of the wheels.
 
@@ -103,8 +101,6 @@ class FeedbackMonitor:
     def is_at_rest(self) -> bool:
         """Whether no wheel rotates, according to the latest state."""
         return bool(np.abs(self.speed).max() < AT_REST_SPEED)
-
-    # ---- checks -------------------------------------------------------------------------------
 
     def voltage_deviation(self, voltage: Array, level: float) -> str:
         """Describe a voltage, of (n,) [V], that is not as commanded [V]; empty if all are correct.

@@ -69,8 +69,6 @@ class AvoidanceMotion:
         """Return the place on the path at a motion time [m]."""
         return float(self.task.controller.motion.sample(now)[0][PATH_PARAMETER])
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def pause(self, now: float) -> None:
         """Come to rest on the path; a repeated request has no effect.
 
@@ -113,8 +111,6 @@ class AvoidanceMotion:
     def _brake(self, now: float) -> None:
         controller = self.task.controller
         controller.motion = controller.braked(controller.motion, now + LEAD * TICK)
-
-    # ---- output -------------------------------------------------------------------------------
 
     def update(self, now: float) -> None:
         """Update the state when the motion has come to rest."""

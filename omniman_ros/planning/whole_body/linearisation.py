@@ -120,8 +120,6 @@ class Linearisation:
         better_rates[-1] = 0.0
         return better, better_rates
 
-    # ---- cost -------------------------------------------------------------------------------
-
     def _cost(
         self, at: Configurations, z: Array, rates: Array, controls: Array, way: PlatformPath
     ) -> Quadratic:
@@ -161,8 +159,6 @@ class Linearisation:
         )
         bend = 2.0 * CONTROL_WEIGHTS
         return Quadratic(hessian, gradient, bend, bend * controls, control, states)
-
-    # ---- rows -------------------------------------------------------------------------------
 
     def _gap_rows(self, at: Configurations, around: ObstacleSnapshot, ages: Array) -> StageRows:
         """Return the rows of the nearest gaps."""

@@ -46,8 +46,6 @@ class MotorShaft:
             robot.motor.torque_constant * robot.motor.gear_ratio / self.gear_ratio
         )
 
-    # ---- measurements -------------------------------------------------------------------------
-
     @property
     def position(self) -> float:
         """Unwrapped angle [rad]."""
@@ -82,8 +80,6 @@ class MotorShaft:
     def lost(self) -> bool:
         """Whether the encoder is detected to be wrong."""
         return self._wheels.lost(self._wheel)
-
-    # ---- commands -----------------------------------------------------------------------------
 
     def follow_velocity(self, velocity: float, torque: float = 0.0) -> None:
         """Close the velocity loop at a speed [rad/s], with a feed-forward torque [N m]."""

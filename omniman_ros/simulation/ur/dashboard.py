@@ -48,8 +48,6 @@ class DashboardSession:
                 return command(self, line[len(prefix) + 1 :])
         return f'could not understand: "{line}"'
 
-    # ---- commands -----------------------------------------------------------------------------
-
     def _play(self) -> str:
         return "Starting program" if self._controller.play() else "Failed to execute: play"
 

@@ -90,8 +90,6 @@ class RtdeServerSession:
         for name in [name for name, owner in self._owners.items() if owner is self]:
             del self._owners[name]
 
-    # ---- from the client ----------------------------------------------------------------------
-
     def receive(self, data: bytes) -> bytes:
         """Return the answers to bytes; what is no package now raises an RtdeError."""
         self._buffer += data
@@ -175,8 +173,6 @@ class RtdeServerSession:
         if self.started:
             self._controller.write_inputs(dict(zip(recipe.names, values, strict=True)))
         return b""
-
-    # ---- to the client ------------------------------------------------------------------------
 
     def data(self) -> bytes:
         """Return the data package of this cycle, empty if none is due; called once per cycle."""

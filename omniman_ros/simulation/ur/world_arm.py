@@ -107,8 +107,6 @@ class WorldArm:
         q = self.q - 0.5 * CYCLE * middle
         return self.torque - self.dynamics.torque(q, middle, acceleration)
 
-    # ---- measurements -------------------------------------------------------------------------
-
     def measure(self, time: float) -> None:
         """Take what the world has measured up to a cycle, at its instant [s]."""
         self._time = time
@@ -165,8 +163,6 @@ class WorldArm:
         self._arrived.clear()
         self._answered = None
         self.give_way()
-
-    # ---- motion -------------------------------------------------------------------------------
 
     def follow(self, target: Array, dt: float) -> None:
         """Follow target angles (6,) [rad] for a time dt [s]."""

@@ -44,9 +44,6 @@ PLOT_CSS = (
 FIXED_DOCK_CSS = '[data-dock-region-handle="right"]{display:none!important}'
 
 
-# ---- server -----------------------------------------------------------------------------------
-
-
 class LocalServer(viser.ViserServer):
     """A server that a browser cannot put on the internet."""
 
@@ -142,9 +139,6 @@ def camera_position(client: viser.ClientHandle) -> tuple[float, float, float] | 
     except AssertionError:  # viser's way of saying that the camera has not been received yet
         return None
     return x, y, z
-
-
-# ---- mark-up ----------------------------------------------------------------------------------
 
 
 def element_id(handle: viser.GuiInputHandle[float] | viser.GuiButtonHandle) -> str:

@@ -69,8 +69,6 @@ class WaypointControls:
             self._path = path
             self._post(ObstaclePathSet(self._number, path))
 
-    # ---- clicks on the floor ------------------------------------------------------------------
-
     def _toggle_picking(self) -> None:
         if self._number is not None:
             self._clicks.listen(None if self._clicks.active else self._append)
@@ -78,8 +76,6 @@ class WaypointControls:
     def _append(self, position: Pair) -> None:
         if self._number is not None:
             self._post(WaypointAdded(self._number, position))
-
-    # ---- buttons ------------------------------------------------------------------------------
 
     def _add_point(self) -> None:
         x, y = self._path.points[-1]
@@ -93,8 +89,6 @@ class WaypointControls:
         if len(points) > 1 and self._selected < len(points):
             kept = points[: self._selected] + points[self._selected + 1 :]
             self._set(replace(self._path, points=kept))
-
-    # ---- display ------------------------------------------------------------------------------
 
     def draw(self, number: int | None, path: WaypointPath | None, now: float) -> None:
         """Display the way points of an obstacle, at a time of any steady clock [s].

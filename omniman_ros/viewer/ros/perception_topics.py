@@ -102,8 +102,6 @@ class PerceptionTopics:
         if shown is None or shown.pixels is not pixels or shown.middle != image.middle:
             self._state.perceived.map = image
 
-    # ---- what scanners see --------------------------------------------------------------------
-
     def _on_scan(self, scanner: ScannerInput, message: LaserScan) -> None:
         pose = self._state.odom
         if pose is None:
@@ -139,8 +137,6 @@ class PerceptionTopics:
         deviations = np.sqrt(rows[:, 5:7])
         tracks = Tracks(rows[:, 0:2], rows[:, 2:4], rows[:, 4], deviations[:, 0], deviations[:, 1])
         self._state.perceived.update_tracks(tracks, self._node.now())
-
-    # ---- what limits the robot ----------------------------------------------------------------
 
     def _on_contacts(self, message: DiagnosticArray) -> None:
         contacts, now = self._state.perceived.contacts, self._node.now()

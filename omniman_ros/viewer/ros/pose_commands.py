@@ -58,8 +58,6 @@ class PoseCommands:
         self._keeps_start = False
         self._goes_after_relocation = False
 
-    # ---- goal ---------------------------------------------------------------------------------
-
     def drag_goal(self, event: GoalDragged, now: float) -> None:
         """Move the goal; send it unless the obstacles are paused or the robot is relocated."""
         pose = _checked(event.pose, "goal")
@@ -149,8 +147,6 @@ class PoseCommands:
         if not (self._keeps_start or is_driving) and state.odom is not None:
             state.start = state.odom
         self._keeps_start = self._has_unsent_goal = False
-
-    # ---- start --------------------------------------------------------------------------------
 
     def drag_start(self, event: StartDragged, now: float) -> None:
         """Move the start once it is released, and with it a simulated robot that is at rest."""

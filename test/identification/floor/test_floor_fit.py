@@ -150,9 +150,6 @@ def test_the_distance_along_the_square_is_that_in_its_own_frame():
     assert distance_along((1.0, 2.0, np.pi / 2), (0.4, 2.5, 9.0)) == pytest.approx(0.6)
 
 
-# ---- record and result -------------------------------------------------------------------------
-
-
 def test_a_record_is_fitted_again_and_its_result_written(tmp_path, drive, capsys):
     check = random_excitation(OMNIMAN.robot, OMNIMAN.limits, 0.35, 20.0, 5)
     record = FloorRecord(OMNIMAN.robot, drive, prescribed_drive(TRUE, check), TRUE)

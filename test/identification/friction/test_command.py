@@ -28,9 +28,6 @@ BACK_EMF, ETA, RESISTANCE = 0.78, 0.66, 1.85
 A, B = np.array([0.005, 0.0034, 0.0044, 0.0028]), np.array([0.31, 0.21, 0.275, 0.175])
 
 
-# ---- record and result -------------------------------------------------------------------------
-
-
 def recorded(a=A, b=B, seed=4, back_emf=1.0, truth=None):
     """A record of noisy runs as the experiment makes them."""
     rng = np.random.default_rng(seed)
@@ -159,9 +156,6 @@ def test_too_few_runs_write_no_file_and_name_the_wheel(tmp_path, capsys):
     assert not (tmp_path / "friction.yaml").exists()
 
 
-# ---- command line ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -215,6 +209,3 @@ def test_a_stop_while_the_user_is_asked_is_reported_with_its_reason():
 
     with pytest.raises(CommandError, match="emergency stop"):
         confirm(Typing("yes"), stopped)
-
-
-# ---- real processes ----------------------------------------------------------------------------

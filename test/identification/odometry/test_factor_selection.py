@@ -32,9 +32,6 @@ def corrected(parameters):
     return forward_matrix(robot().wheels, parameters) @ kinematics().J
 
 
-# ---- which factors ---------------------------------------------------------------------------
-
-
 def test_wrong_radii_are_found_wheel_by_wheel():
     found = identify(campaign(RADII), PRESENT)
     assert found.model == "wheels"
@@ -76,9 +73,6 @@ def test_any_platform_is_calibrated(name):
 def test_factors_per_wheel_are_not_fitted_to_too_many_wheels():
     found = identify(campaign(replace(PRESENT, scale_x=1.01), "mecanum8"), PRESENT)
     assert found.model == "twist" and found.wheels_chi_square is None
-
-
-# ---- what cannot be distinguished -------------------------------------------------------------
 
 
 def test_driving_ahead_alone_determines_the_factors_of_x_only():
@@ -126,9 +120,6 @@ def test_runs_that_go_nowhere_are_refused():
 def test_a_factor_out_of_its_range_is_refused():
     with pytest.raises(ParameterError, match="scale_x"):
         identify(campaign(replace(PRESENT, scale_x=0.4)), PRESENT)
-
-
-# ---- noise -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -33,9 +33,6 @@ def fit(model, made):
     return solve(made, chain, model, range(len(model.factors)), slope)
 
 
-# ---- integration ---------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ALL)
 def test_integration_agrees_with_the_odometry_of_the_controller(name):
     rng = np.random.default_rng(1)
@@ -76,9 +73,6 @@ def test_between_undoes_compose():
         [1.0, 3.0, math.pi / 2 + 0.5],
         atol=1e-12,
     )
-
-
-# ---- exact recovery ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -150,9 +144,6 @@ def test_wheel_positions_may_jump_between_runs():
     assert fit(model, made).cost < 1e-12
 
 
-# ---- weights -------------------------------------------------------------------------------
-
-
 def test_whitened_residuals_have_unit_covariance():
     """1500 draws of the poses' errors: correlated neighbours, headings that turn what follows."""
     true = random_factors(np.random.default_rng(7))
@@ -184,9 +175,6 @@ def test_shifts_are_the_effect_of_a_pose_error_on_the_residuals():
         expected = clean.shifts[:, 3 * k : 3 * k + 3] @ error
         change = moved - clean.residuals(forward)
         np.testing.assert_allclose(change, expected, atol=3e-3 * np.abs(expected).max())
-
-
-# ---- refusals ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

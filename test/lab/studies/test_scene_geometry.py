@@ -65,9 +65,6 @@ def edge_points(pose, box, count=400):
     return pose[:2] + edges @ np.array([[c, s], [-s, c]])
 
 
-# ---- one time -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.5])
 def test_gap_of_a_rotated_box_to_a_disc_is_exact_at_edges_and_corners(heading):
     c, s = math.cos(heading), math.sin(heading)
@@ -117,9 +114,6 @@ def test_leaving_an_area_is_judged_by_the_farthest_corner():
     poses = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2), (0.7, 0.0, 0.0), (0, 0, 0.5)])
     reach = 0.4 * math.cos(0.5) + 0.25 * math.sin(0.5)
     assert outside(poses, BOX, (-1, -1, 1, 1)) == pytest.approx([-0.6, -0.6, 0.1, reach - 1.0])
-
-
-# ---- over a drive -------------------------------------------------------------------------------
 
 
 def disc(radius, x, y, velocity=(0.0, 0.0)):

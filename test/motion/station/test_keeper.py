@@ -150,9 +150,6 @@ def test_limits_that_are_left_without_a_wheel_apply_from_the_next_tick_on():
     assert rig.speed <= 0.45 + 1e-9
 
 
-# ---- leaders that fail --------------------------------------------------------------------------
-
-
 def test_silent_leader_lets_the_robot_brake_until_it_is_heard_again():
     rig = Rig().keep().run(10.0, (0.3, 0.0, 0.0)).run(1.5, silent=True)
     assert rig.state is StationState.WAITING and rig.speed == 0.0
@@ -188,9 +185,6 @@ def test_odometry_that_is_not_newer_is_ignored():
     rig.keeper.update_leader(rig.time, (9.0, 9.0, 0.0), np.zeros(3))
     rig.keeper.update_leader(rig.time - 1.0, (9.0, 9.0, 0.0), np.zeros(3))
     assert rig.state is StationState.KEEPING
-
-
-# ---- requests -----------------------------------------------------------------------------------
 
 
 def test_station_is_refused_without_a_recent_leader_and_far_away():

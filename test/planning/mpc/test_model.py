@@ -29,9 +29,6 @@ def dynamics(robot: Robot) -> PlatformDynamics:
     return PlatformDynamics(robot, PlatformKinematics(robot.wheels))
 
 
-# ---- equations of motion ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", robots.ALL)
 def test_acceleration_is_the_inverse_of_the_dynamics_module(name):
     robot = robots.robot(name, DRY)
@@ -114,9 +111,6 @@ def test_kinetic_energy_is_the_sum_over_bodies_and_wheels(name):
             velocity = twist[:2] + twist[2] * np.array([-body.com_y, body.com_x])
             expected += 0.5 * (body.mass * velocity @ velocity + body.inertia * twist[2] ** 2)
         assert energy == pytest.approx(expected)
-
-
-# ---- motors -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", robots.ALL)

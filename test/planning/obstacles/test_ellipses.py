@@ -24,9 +24,6 @@ def widened(axes, margin):
     return axes[:, None] * circle + margin * normal / np.hypot(*normal)
 
 
-# ---- inflated ---------------------------------------------------------------------------------
-
-
 def test_inflated_ellipse_tightly_contains_the_offset_ellipse():
     rng = np.random.default_rng(1)
     for axes, margin in zip(
@@ -67,9 +64,6 @@ def test_inflated_broadcasts_margins_over_ellipses():
     assert grown.shape == (5, 4, 2)
     np.testing.assert_allclose(grown[3, 2], inflated(axes[2], margins[3, 2]))
     assert (np.diff(inflated(axes[0], np.linspace(0, 1, 20)), axis=0) > 0).all()
-
-
-# ---- Ellipses ---------------------------------------------------------------------------------
 
 
 def test_centres_move_at_constant_velocity_forwards_and_backwards_in_time():

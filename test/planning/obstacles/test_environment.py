@@ -53,9 +53,6 @@ def a_stop(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
     return motion.braked(motion.end, DECELERATION)
 
 
-# ---- floor ------------------------------------------------------------------------------------
-
-
 def test_gap_is_to_the_nearest_of_walls_obstacles_and_workspace():
     random = np.random.default_rng(1)
     known = ellipses((2.0, 2.0, 0.3), (-2.0, 1.0, 0.5, 0.2, 0.4))
@@ -72,9 +69,6 @@ def test_gap_is_to_the_nearest_of_walls_obstacles_and_workspace():
     np.testing.assert_allclose(np.minimum(found, 0.2), np.minimum(np.min(parts, axis=0), 0.2))
     nearest = np.argmin(parts, axis=0)[found < 0.2]
     assert set(nearest.tolist()) == {0, 1, 2}, "each of them counts somewhere"
-
-
-# ---- contact ----------------------------------------------------------------------------------
 
 
 def test_contact_of_a_motion_into_a_wall_is_at_the_time_of_arrival():
@@ -167,9 +161,6 @@ def test_robot_localised_inside_a_wall_may_leave_on_either_side():
     for velocity, clear in ((-0.5, True), (0.5, False)):
         motion = a_stop(velocity, 0.0, 0.0, start=(1.2, 0.2, 0.0), seconds=3.0)
         assert (around().contact(motion, NOW) == math.inf) == clear
-
-
-# ---- overlap, threat, longest -----------------------------------------------------------------
 
 
 def test_overlap_counts_walls_and_obstacles():

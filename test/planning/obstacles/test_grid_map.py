@@ -20,9 +20,6 @@ def read(*rows, **more):
     return GridMap.of_occupancy(OccupancyMap(np.array(rows, np.int8), 0.1, ORIGIN), **more)
 
 
-# ---- GridMap ----------------------------------------------------------------------------------
-
-
 def test_rows_run_along_y_and_columns_along_x():
     centers, radius = grid("..#", "...").obstacles()
     np.testing.assert_allclose(centers, [[0.25, 0.15]])
@@ -120,9 +117,6 @@ def test_largest_map_is_accepted():
     assert GridMap(np.zeros((5000, 5000), dtype=bool), 0.05, np.zeros(3)).occupied.size == (
         MAX_CELLS
     )
-
-
-# ---- of_occupancy -----------------------------------------------------------------------------
 
 
 def test_cells_are_occupied_from_the_threshold():

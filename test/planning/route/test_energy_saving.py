@@ -36,9 +36,6 @@ def energy(robot, poses, speeds=SPEEDS):
     return float(power(robot, twists).mean() * route.duration)
 
 
-# ---- power ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["ig42", "omniman"])
 @pytest.mark.parametrize("axis", range(3))
 def test_power_matches_friction_losses_computed_by_hand(name, axis):
@@ -83,9 +80,6 @@ def test_power_is_symmetric_in_direction_and_zero_at_rest():
     np.testing.assert_allclose(power(robot, twists * [-1.0, 1.0, -1.0]), there, rtol=1e-9)
     assert there.min() > 0.0
     assert power(robot, np.zeros(3)) == 0.0
-
-
-# ---- straight ---------------------------------------------------------------------------------
 
 
 def test_turn_saves_energy_over_four_metres_sideways_but_not_over_one():

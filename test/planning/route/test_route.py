@@ -25,9 +25,6 @@ def winding(seed=0, count=12):
     return Route(np.cumsum(rng.uniform(-1, 1.2, (count, 3)), axis=0), SPEEDS)
 
 
-# ---- Route ------------------------------------------------------------------------------------
-
-
 def test_times_follow_the_slower_of_translation_and_rotation():
     known = route([0, 0, 0], [0.8, 0, 0.5], [0.8, 0.4, 3.5], [0.8, 0.4, 2])
     np.testing.assert_allclose(known.times, [0, 1, 3, 4])
@@ -138,18 +135,12 @@ def test_invalid_route_is_refused_with_its_value(poses, speeds, named):
         Route(poses, speeds)
 
 
-# ---- straight ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("start", "goal", "end"), [(3, -3, 2 * math.pi - 3), (-7, 0, -2 * math.pi), (0.2, 1, 1)]
 )
 def test_straight_route_turns_the_shorter_way(start, goal, end):
     known = straight(np.array([0.0, 0, start]), np.array([1.0, 2, goal]), SPEEDS)
     np.testing.assert_allclose(known.poses, [[0, 0, start], [1, 2, end]])
-
-
-# ---- clear ------------------------------------------------------------------------------------
 
 
 def test_route_is_clear_until_an_obstacle_comes_within_the_margin():

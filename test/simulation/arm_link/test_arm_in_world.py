@@ -30,9 +30,6 @@ def safety(rig):
     return rig.controller.modes.safety
 
 
-# ---- motion -----------------------------------------------------------------------------------
-
-
 def test_the_joints_follow_later_by_the_reference_the_cycle_and_the_link():
     """10 ms of the joints, half a cycle of sampling, and two cycles of the link."""
     r = rig(RAISED)
@@ -43,9 +40,6 @@ def test_the_joints_follow_later_by_the_reference_the_cycle_and_the_link():
         targets.append(r.controller.target.q[0])
     lag = (targets[-2] - r.track[-1][0][0]) / 0.5 + CYCLE
     assert lag == pytest.approx(0.010 + 0.5 * CYCLE + 2 * CYCLE, abs=0.001)
-
-
-# ---- torques ----------------------------------------------------------------------------------
 
 
 def test_the_currents_show_gravity_and_acceleration():
@@ -110,9 +104,6 @@ def test_the_model_of_the_controller_is_that_of_the_world_for_a_base_at_rest():
         expected = (engine.inertial_forces(accelerations) + engine.bias)[arm.dofs]
         # Gravity is 9.82 m/s^2 in UR's documents, and 9.81 in the plant's parameters.
         np.testing.assert_allclose(model.torque(q, qd, qdd), expected, atol=0.002 * 80.0)
-
-
-# ---- stops ------------------------------------------------------------------------------------
 
 
 def drive_into_table(speed):

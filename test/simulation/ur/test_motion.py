@@ -122,9 +122,6 @@ def test_movej_continues_after_an_interruption():
     assert target.q[0] == pytest.approx(1.0)
 
 
-# ---- joints -----------------------------------------------------------------------------------
-
-
 def arm(**changes):
     return SimulatedArm(UrArmParameters(initial=(0.0,) * 6, **changes))
 

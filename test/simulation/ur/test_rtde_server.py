@@ -192,9 +192,6 @@ def test_data_arrive_at_the_requested_rate(session, frequency, sent):
     assert sum(bool(session.data()) for _ in range(125)) == pytest.approx(sent, abs=1)
 
 
-# ---- faults of packages -----------------------------------------------------------------------
-
-
 def send(queue, packages):
     pieces = []
     for each in packages:

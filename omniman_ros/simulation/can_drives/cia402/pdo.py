@@ -105,8 +105,6 @@ class Pdo:
     def _number(self, index: int, sub: int) -> int:
         return int(self._values.get((index, sub), 0))
 
-    # ---- packing ------------------------------------------------------------------------------
-
     def pack(self) -> bytes:
         """Return the values of the mapped objects."""
         return b"".join(
@@ -122,8 +120,6 @@ class Pdo:
                 result.append((key, int(value)))
             start += size
         return result
-
-    # ---- configuration ------------------------------------------------------------------------
 
     def check(self, key: Key, value: int) -> None:
         """Check that a value may be written now, or raise an SdoAbortedError (CiA 301)."""

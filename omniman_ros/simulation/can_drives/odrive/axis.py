@@ -84,8 +84,6 @@ class SimulatedOdriveAxis:
         self._check_errors()
         self._drive(now)
 
-    # ---- errors and states --------------------------------------------------------------------
-
     @property
     def is_armed(self) -> bool:
         """Whether the axis is in closed loop control."""
@@ -152,8 +150,6 @@ class SimulatedOdriveAxis:
         for error, failed in causes:
             if self.is_armed:
                 self.fail(error, failed)
-
-    # ---- control ------------------------------------------------------------------------------
 
     def set_mode(self, control: int, input_: int, now: float) -> None:
         """Set control mode and input mode, at `now` [s]."""

@@ -104,8 +104,6 @@ class OdriveDrive(Firmware):
     def _clear_position(self) -> None:
         self._initial_position = 0.0
 
-    # ---- frames of the host -------------------------------------------------------------------
-
     def receive(self, message: can.Message, now: float) -> list[can.Message]:
         """Process a frame at `now` [s]; return the answer if it is a request."""
         if not self._update(now) or self.faults.deaf or not self._is_addressed(message):
@@ -136,8 +134,6 @@ class OdriveDrive(Firmware):
     def _on_reboot(self, action: int, now: float) -> None:
         if action == 0 and self.axis.state is OdriveAxisState.IDLE:
             self._reboot(now)
-
-    # ---- time ---------------------------------------------------------------------------------
 
     def advance(self, now: float) -> list[can.Message]:
         """Run watchdog, checks and ramps up to `now` [s]; return the reports that are due."""
@@ -171,8 +167,6 @@ class OdriveDrive(Firmware):
             has_driver_fault=self.faults.fault,
             is_calibrated=not self.faults.refuse_enable,
         )
-
-    # ---- reports ------------------------------------------------------------------------------
 
     def _heartbeat(self) -> bytes:
         return struct.pack("<IBBBB", self.axis.errors, self.axis.state, self.axis.result, 0, 0)

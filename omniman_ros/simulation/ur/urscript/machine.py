@@ -100,8 +100,6 @@ class Machine:
             self._context.host.socket_close(name)
         self._context.sockets.clear()
 
-    # ---- threads ----------------------------------------------------------------------------
-
     def _push(self, thread: Thread, function: Function, variables: dict[str, Value]) -> None:
         frame = StackFrame(variables, self.variables, thread, self._context)
         thread.calls.append(function.execute(frame))
@@ -145,8 +143,6 @@ class Machine:
                 thread.answer = end.value
             else:
                 self._serve(thread, request)
-
-    # ---- requests ---------------------------------------------------------------------------
 
     def _serve(self, thread: Thread, request: Request) -> None:
         if isinstance(request, Wait):

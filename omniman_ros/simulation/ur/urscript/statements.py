@@ -70,8 +70,6 @@ class StatementCompiler:
             raise ScriptError(line_of(node), "neither a call nor an assignment")
         return apply([self._expressions.compile(call)], lambda frame, value: None, line_of(node))
 
-    # ---- assignments --------------------------------------------------------------------------
-
     def _assignment(self, node: Node) -> Statement:
         target, value = subtrees(node)
         line = line_of(node)
@@ -122,8 +120,6 @@ class StatementCompiler:
             return None
 
         return apply([self._expressions.compile(value)], store, line_of(node))
-
-    # ---- control flow -------------------------------------------------------------------------
 
     def _if(self, node: Node) -> Statement:
         parts = subtrees(node)
