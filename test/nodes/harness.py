@@ -38,7 +38,7 @@ START = 1000.0
 MATCH_TIMEOUT = 20.0
 
 DOMAINS = range(40, 102)  #: ROS domains of the tests; up to 101, they are safe on every system
-KEPT_DOMAINS = 4  #: Number of domains that a process takes in turn
+KEPT_DOMAINS = 8  #: Number of domains that a process takes in turn
 
 _locks: dict[int, int] = {}  # file descriptors by domain, until the process ends
 _turns = itertools.count()

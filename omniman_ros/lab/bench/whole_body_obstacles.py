@@ -331,4 +331,4 @@ def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
         at_most("CPU of the search", row["search_s"], SEARCH_AIM, "{:.2f} s"),
     ]
     titles = ("completed, no contact", "contacts", "least gap", "time, median")
-    return [BenchmarkTable(titles, rows), BenchmarkTable(("the body dodges",), aimed)]
+    return [BenchmarkTable(titles, rows), BenchmarkTable(("the body avoids",), aimed)]
