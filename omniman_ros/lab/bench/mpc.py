@@ -186,6 +186,6 @@ def report(result: Mapping[str, Any]) -> list[BenchmarkTable]:
         text = f"  other sides in {loop['scenes'] - loop['same_sides']}: cheaper than IPOPT"
         rows.append(Figure(text, (str(loop["other_sides_better"]),)))
     return [
-        BenchmarkTable(("median [ms]", "p99", "max", "failed"), times),
+        BenchmarkTable(("CPU time, median [ms]", "p99", "max", "failed"), times),
         BenchmarkTable(("value",), rows),
     ]
