@@ -3,6 +3,7 @@
 import os
 import signal
 from contextlib import contextmanager
+from itertools import pairwise
 
 import pytest
 from geometry_msgs.msg import Twist
@@ -10,6 +11,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 
 from omniman_ros.console.session import Session
+from omniman_ros.conversions.headers import time_seconds
 from test.running import (
     PATIENCE,
     PATIENT,
@@ -25,6 +27,8 @@ from test.tiers import exhaustive
 pytestmark = pytest.mark.processes
 
 SPEED = 0.3
+TICK = 0.005  #: Period of the controller, by which its stamps may be late [s]
+DECELERATION = 1.2  #: limits.linear_deceleration of the default robot [m/s^2]
 NODES = ("platform_controller", "simulated_drive")
 ONLY_NODES = ("--only", *NODES)
 
@@ -34,7 +38,7 @@ class Probe:
 
     def __init__(self, session):
         self.session = session
-        self.commands = []
+        self.commands, self.stamps = [], []
         self.truth = None
         self.publisher = session.node.create_publisher(Twist, "cmd_vel", 1)
         session.node.create_subscription(JointState, "wheel_commands", self._on_command, 100)
@@ -42,6 +46,7 @@ class Probe:
 
     def _on_command(self, message):
         self.commands.append(list(message.velocity))
+        self.stamps.append(time_seconds(message.header.stamp))
 
     def _on_truth(self, message):
         self.truth = message
@@ -137,8 +142,13 @@ def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
     assert "simulated_drive was killed by SIGKILL: stopping the robot" in up.output
     assert not any(probe.commands[-1]), up.output
     rows = [max(map(abs, command)) for command in probe.commands]
-    fastest = max(i for i, speed in enumerate(rows) if speed > 0.9 * max(rows))
-    assert any(rows[fastest + 1 :]), "the wheels were cut off rather than ramped down"
+    largest = DECELERATION * max(rows) / SPEED  # of a wheel [rad/s^2]
+    drops = [before - after for before, after in pairwise(rows)]
+    times = [after - before for before, after in pairwise(probe.stamps)]
+    cut_off = [
+        drop for drop, time in zip(drops, times, strict=True) if drop > largest * (time + TICK)
+    ]
+    assert not cut_off, "the wheels were cut off rather than ramped down"
 
 
 def test_a_killed_controller_is_reported_and_the_drive_stops_by_itself(own_domain):
