@@ -18,9 +18,9 @@ class EffectiveLimits:
 
     parameters: PlannerParameters
     #: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead, or the arm's
-    #: posture bears less. Values below MIN_LIMIT_SCALE are raised to it.
+    #: posture supports less. Values below MIN_LIMIT_SCALE are raised to it.
     limit_scale: float = 1.0
-    #: Factor on deceleration limits [-]; 1 unless the posture bears less
+    #: Factor on deceleration limits [-]; 1 unless the posture supports less
     braking_scale: float = 1.0
 
     def __post_init__(self) -> None:
