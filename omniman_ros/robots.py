@@ -33,7 +33,7 @@ def robot_file(robot: str) -> Path:
     raise ParameterError("robot", robot, f"must be one of {known}, or the path of a .yaml file")
 
 
-def load_robot(robot: str) -> Mapping[str, Any]:
+def robot_parameters(robot: str) -> Mapping[str, Any]:
     """Read a robot's parameters.
 
     Args:

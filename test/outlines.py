@@ -2,7 +2,7 @@
 
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 OCTAGON = [
     (0.5, -0.2),
@@ -40,5 +40,5 @@ HAND_MADE = {
 def outlined(outline, name="omniman"):
     """Return the description of a robot of the package with another outline (k, 2)."""
     x, y = ([corner[axis] for corner in outline] for axis in (0, 1))
-    values = load_robot(name) | {"body.outline_x": x, "body.outline_y": y}
+    values = robot_parameters(name) | {"body.outline_x": x, "body.outline_y": y}
     return build(DescriptionParameters, values)

@@ -13,8 +13,8 @@ import numpy as np
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot, Wheels
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform, Wheels
+from omniman_ros.robots import robot_parameters
 
 CONFIG = Path(__file__).resolve().parent / "config"
 
@@ -24,13 +24,13 @@ ALL = SHIPPED + TESTED  #: Names of all robots: n = 4, 4, 3, 6, 4 and 8 wheels
 
 
 def path(name: str) -> str:
-    """What `load_robot` and the parameter `robot` of nodes take for one of ALL."""
+    """What `robot_parameters` and the parameter `robot` of nodes take for one of ALL."""
     return name if name in SHIPPED else str(CONFIG / f"{name}.yaml")
 
 
 def values(name: str = "omniman", changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Full parameter names to values of a robot's file, with changes."""
-    return {**load_robot(path(name)), **(changes or {})}
+    return {**robot_parameters(path(name)), **(changes or {})}
 
 
 def parameters(
@@ -43,9 +43,9 @@ def parameters(
     return build(PlatformParameters, values(name, changes))
 
 
-def robot(name: str = "omniman", changes: Mapping[str, Any] | None = None) -> Robot:
+def robot(name: str = "omniman", changes: Mapping[str, Any] | None = None) -> Platform:
     """One of ALL, with changes by full parameter name."""
-    return build(Robot, values(name, changes))
+    return build(Platform, values(name, changes))
 
 
 def kinematics(name: str = "omniman", changes: Mapping[str, Any] | None = None) -> Any:
@@ -78,10 +78,10 @@ def random_wheels(rng: np.random.Generator, n: int) -> Wheels:
             return wheels
 
 
-def random_robot(rng: np.random.Generator, n: int) -> Robot:
+def random_robot(rng: np.random.Generator, n: int) -> Platform:
     """Random wheels below a random body with an arm, each wheel with its own friction."""
     known = robot("skewed4")
-    return Robot(
+    return Platform(
         wheels=random_wheels(rng, n),
         body=build(
             type(known.body),

@@ -8,9 +8,9 @@ from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build, specs
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
-from omniman_ros.robots import load_robot, robot_file
+from omniman_ros.robots import robot_file, robot_parameters
 from omniman_ros.share import share_path
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.ur.arm import UrArmParameters
@@ -34,14 +34,14 @@ def test_all_robots_are_here():
 class TestEachFile:
     def test_every_key_is_a_parameter_with_a_value_it_takes(self, path):
         # rclpy ignores a mistyped name in a file without a word.
-        values = load_robot(str(path))
+        values = robot_parameters(str(path))
         assert values
         for name, value in values.items():
             assert name in KNOWN, f"{path.name}: no parameter '{name}'"
             KNOWN[name].check(value)
 
     def test_it_gives_all_that_has_no_default(self, path):
-        values = load_robot(str(path))
+        values = robot_parameters(str(path))
         assert not [name for name, spec in KNOWN.items() if spec.required and name not in values]
         build(PlatformParameters, values)
 
@@ -50,7 +50,7 @@ class TestEachFile:
 
     def test_arrays_have_values_of_one_type(self, path):
         # ROS has no mixed arrays, and none without a type.
-        for name, value in load_robot(str(path)).items():
+        for name, value in robot_parameters(str(path)).items():
             if isinstance(value, list):
                 assert value, name
                 assert {type(item) for item in value} == {KNOWN[name].item}, name
@@ -58,7 +58,7 @@ class TestEachFile:
                 assert isinstance(value, float), f"{name}: ROS would declare an integer"
 
     def test_it_moves_every_way_within_its_wheels_and_motors(self, path):
-        made = build(PlatformParameters, load_robot(str(path)))
+        made = build(PlatformParameters, robot_parameters(str(path)))
         controller = PlatformController(made)
         limits, motor = made.limits, made.robot.motor
         for axis, (speed, rate) in enumerate(
@@ -73,7 +73,7 @@ class TestEachFile:
             assert (abs(torque) <= controller.cascade.dynamics.torque_limit).all()
 
     def test_its_box_holds_its_wheels(self, path):
-        made = build(Robot, load_robot(str(path)))
+        made = build(Platform, robot_parameters(str(path)))
         assert max(map(abs, made.wheels.x)) <= made.body.length / 2
         assert max(map(abs, made.wheels.y)) <= made.body.width / 2
 
@@ -92,9 +92,9 @@ def test_the_configurations_cover_what_they_are_for():
 
 def test_known_names_are_offered_where_there_is_no_such_robot():
     with pytest.raises(ParameterError, match="ig42, omniman, or the path"):
-        load_robot("omnimann")
+        robot_parameters("omnimann")
     with pytest.raises(ParameterError, match="no such file"):
-        load_robot("nowhere/at_all.yaml")
+        robot_parameters("nowhere/at_all.yaml")
 
 
 @pytest.mark.parametrize("name", ["", "../config/omniman", "launch/platform", "/etc/passwd"])
@@ -119,14 +119,14 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, text):
     path = tmp_path / "robot.yaml"
     path.write_text(text)
     with pytest.raises(ParameterError, match="ros__parameters"):
-        load_robot(str(path))
+        robot_parameters(str(path))
 
 
 def test_a_robot_is_read_anew_after_a_change_of_what_was_read_or_of_the_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text(robot_file("ig42").read_text())
-    first = load_robot(str(path))
+    first = robot_parameters(str(path))
     first["wheels.y"].append(1.0)
-    assert load_robot(str(path))["wheels.y"] == first["wheels.y"][:-1]
+    assert robot_parameters(str(path))["wheels.y"] == first["wheels.y"][:-1]
     path.write_text(path.read_text().replace("mass: 25.0", "mass: 26.5"))
-    assert load_robot(str(path))["body.mass"] == 26.5
+    assert robot_parameters(str(path))["body.mass"] == 26.5

@@ -21,7 +21,7 @@ from omniman_ros.control.wheel_cascade import WheelCommand
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 REST_SPEED = 0.05  #: Speed below which a wheel counts as at rest [rad/s]
 #: Time for which all wheels must be at rest before a stop switches the power off [s]
@@ -58,7 +58,7 @@ class CanDrives:
         ParameterError: The installation does not fit the robot.
     """
 
-    def __init__(self, robot: Robot, parameters: CanParameters) -> None:
+    def __init__(self, robot: Platform, parameters: CanParameters) -> None:
         settings = axis_settings(robot, parameters)
         entry = PROTOCOLS[parameters.protocol]
         self._group = WheelAxes([entry.axis(axis_setting) for axis_setting in settings])
@@ -78,7 +78,7 @@ class CanDrives:
         self._at_rest_since: float | None = None
         self._last_tick = self._tick_before = -math.inf
 
-    def update_parameters(self, robot: Robot, parameters: CanParameters) -> None:
+    def update_parameters(self, robot: Platform, parameters: CanParameters) -> None:
         """Replace limits and timeouts; parameters that are read once at the start are ignored."""
         self._parameters = parameters
         self._setpoints.update_parameters(robot, parameters)

@@ -9,7 +9,7 @@ from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 NO_TIMEOUT = 1e9  #: Timeout of actions that end by the policy's own timeouts [s]
 #: Time after the longest stop within which the drives must report that their power is off [s]
@@ -33,7 +33,7 @@ class CanLink:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Platform,
         p: CanParameters,
         clock: Callable[[], float],
         wake: Wake | None = None,

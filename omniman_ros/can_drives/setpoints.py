@@ -11,7 +11,7 @@ from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 class SpeedRamp:
@@ -71,14 +71,14 @@ class SetpointGenerator:
     A stale command becomes a ramp to rest on the curve that the robot is on.
     """
 
-    def __init__(self, axes: Sequence[Axis], robot: Robot, parameters: CanParameters) -> None:
+    def __init__(self, axes: Sequence[Axis], robot: Platform, parameters: CanParameters) -> None:
         self._axes = axes
         self._ramp = SpeedRamp(len(axes))
         self._command: WheelCommand | None = None
         self._commanded_at = -math.inf
         self.update_parameters(robot, parameters)
 
-    def update_parameters(self, robot: Robot, parameters: CanParameters) -> None:
+    def update_parameters(self, robot: Platform, parameters: CanParameters) -> None:
         """Replace limits and timeouts."""
         self._parameters = parameters
         self._gears: tuple[Transmission, ...] = transmissions(robot, parameters)

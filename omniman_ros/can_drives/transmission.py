@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from omniman_ros.can_drives.axis import AxisSettings, DriveSetpoint, Feedback
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.can_parameters import HEADROOM, CanParameters
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Transmission:
         return sign * voltage, sign * feedback.current
 
 
-def transmissions(robot: Robot, p: CanParameters) -> tuple[Transmission, ...]:
+def transmissions(robot: Platform, p: CanParameters) -> tuple[Transmission, ...]:
     """Return the transmission of each wheel, in the robot's order."""
     motor = robot.motor
     ratio = p.gear_ratio or motor.gear_ratio
@@ -109,12 +109,12 @@ def transmissions(robot: Robot, p: CanParameters) -> tuple[Transmission, ...]:
     )
 
 
-def max_wheel_speed(robot: Robot, p: CanParameters) -> float:
+def max_wheel_speed(robot: Platform, p: CanParameters) -> float:
     """Return the largest wheel speed that a command may have [rad/s]."""
     return p.max_speed or HEADROOM * robot.motor.max_speed
 
 
-def axis_settings(robot: Robot, p: CanParameters) -> tuple[AxisSettings, ...]:
+def axis_settings(robot: Platform, p: CanParameters) -> tuple[AxisSettings, ...]:
     """Return the axes' settings in the robot's order; raise ParameterError if they do not fit."""
     p.check(robot)
     gears = transmissions(robot, p)

@@ -10,7 +10,7 @@ from omniman_ros.can_drives.axis import Axis, Feedback
 from omniman_ros.can_drives.transmission import Transmission, max_wheel_speed, transmissions
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 #: Ratio of the wheel speed that counts as running away to the largest commanded speed
 RUNAWAY_SPEED = 1.5
@@ -101,7 +101,7 @@ class FeedbackConverter:
     def __init__(
         self,
         axes: Sequence[Axis],
-        robot: Robot,
+        robot: Platform,
         parameters: CanParameters,
         samples_at_sync: bool,
     ) -> None:
@@ -115,7 +115,7 @@ class FeedbackConverter:
         self._max_believed_speed = 0.0
         self.update_parameters(robot, parameters)
 
-    def update_parameters(self, robot: Robot, parameters: CanParameters) -> None:
+    def update_parameters(self, robot: Platform, parameters: CanParameters) -> None:
         """Replace the limits."""
         self._parameters = parameters
         self._gears: tuple[Transmission, ...] = transmissions(robot, parameters)

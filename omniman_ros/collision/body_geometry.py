@@ -15,7 +15,7 @@ from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Body
+from omniman_ros.core.platform import Body
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.description.urdf import carries_arm

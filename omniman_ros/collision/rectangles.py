@@ -8,7 +8,7 @@ import numpy as np
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Body
+from omniman_ros.core.platform import Body
 from omniman_ros.description.platform_shape import platform_cover
 
 #: Largest number of rectangles that stand for a platform with an outline of its own

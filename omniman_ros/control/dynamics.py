@@ -10,7 +10,7 @@ import numpy as np
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import ratio
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 GRAVITY = 9.80665  #: Standard gravity [m/s^2]
 #: Width of the smoothed sign function, the speed at which it is 1 / sqrt(2) [rad/s, m/s]
@@ -41,7 +41,7 @@ class PlatformDynamics:
             rollers roll across their axes, CCTA (5) and (6).
     """
 
-    def __init__(self, robot: Robot, kinematics: PlatformKinematics) -> None:
+    def __init__(self, robot: Platform, kinematics: PlatformKinematics) -> None:
         self._kinematics = kinematics
         self._motor = robot.motor
         bodies = (robot.body, robot.arm)
@@ -76,7 +76,7 @@ class PlatformDynamics:
         gain = motor.gear_efficiency * motor.gear_ratio * motor.torque_constant
         self.torque_limit = gain * motor.max_current * driven
 
-    def _set_rollers(self, robot: Robot) -> None:
+    def _set_rollers(self, robot: Platform) -> None:
         """Compute the maps of roller drag: twist to rolling speed, force to torque, CCTA (5)."""
         wheels = robot.wheels
         angle = np.array(wheels.heading) + np.array(wheels.roller_angle)

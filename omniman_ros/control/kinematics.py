@@ -12,7 +12,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import GeometryError
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 
 #: Smallest pivot of J that adds to its rank (J normalised, lengths scaled by the platform's size)
 RANK_TOLERANCE = 1e-6

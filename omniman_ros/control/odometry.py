@@ -20,7 +20,7 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 #: Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]
 REST_SPEED = 0.02
@@ -138,7 +138,7 @@ class OdometryParameters:
             reason = f"{len(scale)} values, {count} wheels"
             raise ParameterError("odometry.wheel_scale", scale, reason)
 
-    def calibrated(self, robot: Robot) -> Robot:
+    def calibrated(self, robot: Platform) -> Platform:
         """Return the robot with its wheel radii multiplied by `wheel_scale`."""
         radius = tuple((np.array(robot.wheels.radius) * self.wheel_scale).tolist())
         return replace(robot, wheels=replace(robot.wheels, radius=radius))

@@ -26,8 +26,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.late_delivery import LateDelivery
 from omniman_ros.core.motion_limit import MotionLimit
+from omniman_ros.core.platform import Arm
 from omniman_ros.core.preview import Preview
-from omniman_ros.core.robot import Arm
 from omniman_ros.core.stop import StopLatch
 
 #: Longest time between two ticks that counts; after a longer one the caller has stalled [s]

@@ -14,7 +14,7 @@ from omniman_ros.control.wheel_controller import WheelGains
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class PlatformParameters:
             drives do not support velocity mode or the selected mode, or a dead wheel is unknown.
     """
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     limits: TwistLimits
     drive: DriveParameters
     health: WheelHealthParameters

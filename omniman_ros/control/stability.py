@@ -20,7 +20,7 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 #: Smallest fraction of the limits of acceleration and deceleration that any posture leaves: the
 #: robot must remain able to stop.
@@ -62,7 +62,9 @@ class SupportModel:
         mass_matrix: Mass matrix (3, 3) of the robot about base_link's origin.
     """
 
-    def __init__(self, robot: Robot, kinematics: PlatformKinematics, mass_matrix: Array) -> None:
+    def __init__(
+        self, robot: Platform, kinematics: PlatformKinematics, mass_matrix: Array
+    ) -> None:
         wheels = robot.wheels
         parts = [(b.mass, b.com_x, b.com_y, b.com_z) for b in (robot.body, robot.arm)]
         mass, x, y, z = np.array(parts).T

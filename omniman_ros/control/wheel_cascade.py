@@ -15,7 +15,7 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_controller import WheelController
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Arm
+from omniman_ros.core.platform import Arm
 
 
 class DriveMode(Enum):

@@ -12,7 +12,7 @@ from omniman_ros.control.wheel_feedback import MAX_GAP, WheelFeedback
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +23,7 @@ class WheelOdometryParameters:
         ParameterError: The number of wheel scales is neither one nor that of the wheels.
     """
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     odometry: OdometryParameters
     imu: ImuParameters
 

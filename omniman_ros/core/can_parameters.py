@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 #: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
@@ -212,7 +212,7 @@ class CanParameters:
         """Age of a wheel's feedback from which the wheel counts as lost [s]."""
         return self.missed_periods * (self.feedback_period or self.period)
 
-    def check(self, robot: Robot) -> None:
+    def check(self, robot: Platform) -> None:
         """Check the parameters against the robot.
 
         Raises:

@@ -15,7 +15,7 @@ from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, paint, say
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.demo.demo import drive, judge, load_demo
 from omniman_ros.demo.driver import DemoDriver
 from omniman_ros.demo.report import fault_lines, report_lines
@@ -207,7 +207,7 @@ def wheel_differences(robot: str) -> list[str]:
         CommandError: The robot's file cannot be used.
     """
     try:
-        n = build(Robot, robot_values(robot)).wheel_count
+        n = build(Platform, robot_values(robot)).wheel_count
     except OmnimanError as error:
         raise CommandError(str(error), 2) from error
     return [

@@ -7,20 +7,20 @@ import numpy as np
 
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.demo import figures, legs
 from omniman_ros.demo.driver import DemoDriver
 from omniman_ros.demo.measures import Interval, violations
 from omniman_ros.demo.recorder import DemoRecording
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 
 @dataclass
 class Demo:
     """A robot, and what it has driven, leg by leg; legs that were not driven are empty or None."""
 
-    robot: Robot
+    robot: Platform
     pace: legs.DemoSpeeds
     model: WholeBodyModel | None  #: Platform and arm; None if the robot has no arm
     by_scanner: bool  #: Whether it drives to the goal by its scanner, among a world's persons
@@ -45,10 +45,10 @@ class Demo:
 
 def load_demo(robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> Demo:
     """Return the demo of a robot, given by its name or the path of its file."""
-    parameters = load_robot(robot)
+    parameters = robot_parameters(robot)
     model = WholeBodyModel(build(Mount, parameters, "mount.")) if has_arm else None
     pace = legs.DemoSpeeds.within(build(TwistLimits, parameters, "limits."))
-    return Demo(build(Robot, parameters), pace, model, by_scanner)
+    return Demo(build(Platform, parameters), pace, model, by_scanner)
 
 
 def drive(demo: Demo, driver: DemoDriver) -> None:
@@ -97,7 +97,7 @@ def judge(demo: Demo, recording: DemoRecording) -> dict[str, Any]:
     return result
 
 
-def expendable_wheel(robot: Robot) -> str:
+def expendable_wheel(robot: Platform) -> str:
     """Return the name of a wheel without which the robot can drive; empty if there is none."""
     names = robot.wheels.names
     return names[-1] if len(names) > 3 else ""

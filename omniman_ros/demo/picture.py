@@ -25,7 +25,7 @@ from omniman_ros.console.figure_style import (
 )
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.demo.demo import Demo
 from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, obstacle_gaps, tool_track
 from omniman_ros.demo.perception import Perception
@@ -168,7 +168,7 @@ def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
     axes.set_ylim(x.min() - AROUND, x.max() + AROUND)
 
 
-def _draw_outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:
+def _draw_outline(axes: Any, robot: Platform, pose: Array, **options: Any) -> None:
     """Draw the bounding box of the robot with a mark at its front."""
     corners = CORNERS * [robot.body.length / 2, robot.body.width / 2]
     nose = np.array([[0.5, 0.0], [0.42, 0.06], [0.42, -0.06]]) * robot.body.length
@@ -176,7 +176,7 @@ def _draw_outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:
     axes.add_patch(_polygon(nose, pose, facecolor=FAINT, edgecolor="none", **options))
 
 
-def _draw_robot(axes: Any, robot: Robot, pose: Array) -> None:
+def _draw_robot(axes: Any, robot: Platform, pose: Array) -> None:
     """Draw the robot with its wheels, each with the axis of the roller on the floor."""
     _draw_outline(axes, robot, pose)
     wheels = robot.wheels

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 #: Three components x, y, z: a position [m], roll, pitch, yaw [rad], or moments [kg m^2]
 Vector = tuple[float, float, float]
@@ -29,7 +29,7 @@ def cylinder(mass: float, radius: float, length: float, centre: Vector, rpy: Vec
     return Inertia(mass, (transverse, transverse, 0.5 * mass * radius**2), centre, rpy)
 
 
-def wheel_masses(robot: Robot) -> tuple[float, ...]:
+def wheel_masses(robot: Platform) -> tuple[float, ...]:
     """Return the mass of each wheel [kg], which is part of the body's mass.
 
     Each is that of a solid cylinder with the wheel's inertia, 2 I / r^2. This can be too much, as
@@ -52,14 +52,14 @@ def wheel_masses(robot: Robot) -> tuple[float, ...]:
     return tuple(factor * m for m in masses)
 
 
-def wheel(robot: Robot, i: int, mass: float, width: float) -> Inertia:
+def wheel(robot: Platform, i: int, mass: float, width: float) -> Inertia:
     """Return the inertia of a wheel of a mass [kg] and width [m], with gear and rotor."""
     axle = robot.wheels.inertia[i]
     transverse = 0.5 * axle + mass * width**2 / 12.0
     return Inertia(mass, (transverse, axle, transverse))
 
 
-def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: float) -> Inertia:
+def rest_of_body(robot: Platform, masses: tuple[float, ...], bottom: float, top: float) -> Inertia:
     """Return the inertia of the platform without its wheels, in base_link.
 
     Together with the wheels as point masses [kg] it has the body's mass, centre of mass and

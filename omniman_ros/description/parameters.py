@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.urdf import carries_arm, require_joint_names, urdf
 from omniman_ros.motion.whole_body.model import Mount
 
@@ -13,7 +13,7 @@ from omniman_ros.motion.whole_body.model import Mount
 class DescriptionParameters:
     """The platform, the arm's joints, and the pose of the arm on the platform."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     arm: ArmParameters
     mount: Mount
     describe_arm: bool = parameter(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Body, Robot
+from omniman_ros.core.platform import Body, Platform
 from omniman_ros.description.inertia import Vector
 from omniman_ros.description.outline_cover import outline_cover
 
@@ -30,7 +30,7 @@ class Box:
     yaw: float = 0.0  #: Direction of the first edge in base_link [rad]
 
 
-def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
+def platform_boxes(robot: Platform, mount: float | None) -> tuple[Box, ...]:
     """Return the deck with the body's length and width, and a box between the wheels below it.
 
     Configurations have no heights. The deck extends from above the wheels to the base of the arm,
@@ -52,7 +52,7 @@ def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     return deck, _box(length, width, CLEARANCE * radius, bottom)
 
 
-def platform_top(robot: Robot, mount: float | None) -> float:
+def platform_top(robot: Platform, mount: float | None) -> float:
     """Return the height of the deck's upper side [m]; see `platform_boxes`."""
     deck = platform_boxes(robot, mount)[0]
     return deck.centre[2] + 0.5 * deck.size[2]
@@ -83,7 +83,7 @@ def _box(length: float, width: float, bottom: float, top: float) -> Box:
     return Box((0.0, 0.0, 0.5 * (bottom + top)), (length, width, top - bottom))
 
 
-def _between_wheels(robot: Robot, gap: float) -> tuple[float, float]:
+def _between_wheels(robot: Platform, gap: float) -> tuple[float, float]:
     """Return length and width of the larger box that fits between the wheels: along or across."""
     wheels, body = robot.wheels, robot.body
     half_length, half_width = 0.5 * body.length, 0.5 * body.width

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.inertia import Inertia, Vector, rest_of_body, wheel, wheel_masses
 from omniman_ros.description.platform_shape import WHEEL_WIDTH, Box, platform_boxes
 from omniman_ros.description.ur5 import BASE, EFFORTS, Link, Tube, links
@@ -39,12 +39,12 @@ TOOL = "tool0"  #: Name of the tool's link
 ARM_BASE = "arm_base_link"  #: Name of the link of the arm's base
 
 
-def carries_arm(robot: Robot) -> bool:
+def carries_arm(robot: Platform) -> bool:
     """Return whether the robot has an arm, that is, whether `arm.mass` is above 0."""
     return robot.arm.mass > 0.0
 
 
-def require_joint_names(robot: Robot, arm: ArmParameters) -> None:
+def require_joint_names(robot: Platform, arm: ArmParameters) -> None:
     """Require that the joints of wheels and arm have unique names that XML allows.
 
     Raises:
@@ -66,7 +66,7 @@ def require_joint_names(robot: Robot, arm: ArmParameters) -> None:
 
 
 def urdf(
-    robot: Robot,
+    robot: Platform,
     arm: ArmParameters,
     mount: Mount,
     name: str = "omniman",
@@ -114,7 +114,7 @@ def _require_unique_names(root: ElementTree.Element) -> None:
 # ---- platform -----------------------------------------------------------------------------------
 
 
-def _add_platform(root: ElementTree.Element, robot: Robot, mount: float | None) -> None:
+def _add_platform(root: ElementTree.Element, robot: Platform, mount: float | None) -> None:
     """Add the platform's body, below an arm at a height `mount` [m], and its wheels."""
     masses, boxes = wheel_masses(robot), platform_boxes(robot, mount)
     deck = boxes[0]
@@ -127,7 +127,7 @@ def _add_platform(root: ElementTree.Element, robot: Robot, mount: float | None) 
         _add_wheel(root, robot, i, mass)
 
 
-def _add_wheel(root: ElementTree.Element, robot: Robot, i: int, mass: float) -> None:
+def _add_wheel(root: ElementTree.Element, robot: Platform, i: int, mass: float) -> None:
     """Add a wheel that rolls towards its x: it rotates about its y, right-handed."""
     wheels, motor = robot.wheels, robot.motor
     name, radius = wheels.names[i], wheels.radius[i]

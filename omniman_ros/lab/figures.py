@@ -32,7 +32,7 @@ from omniman_ros.console.figure_style import (
     save_figure,
 )
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies import handover, tool_path
 from omniman_ros.lab.studies.coupling import OWN_CONTROLLER, PAPER_CONTROLLER, CouplingRun
 from omniman_ros.lab.studies.handover import KEPT_TIME
@@ -62,7 +62,7 @@ PREDICTION_STEP = 0.5  #: between two predicted positions of an obstacle [s]
 
 
 def draw_coupling(
-    robot: Robot,
+    robot: Platform,
     course: Figure7,
     runs: Sequence[CouplingRun],
     result: Mapping[str, Any],
@@ -118,7 +118,7 @@ def _errors_over_time(
     axes.legend(loc="best")
 
 
-def _path_of_figure7(axes: Any, robot: Robot, course: Figure7) -> None:
+def _path_of_figure7(axes: Any, robot: Platform, course: Figure7) -> None:
     """Draw the path from above: x (forward) points up, y (left) to the left."""
     poses = waypoints(0.02, course.length)
     axes.plot(-poses[:, 1], poses[:, 0], color=INK, lw=1.2, zorder=5)
@@ -134,7 +134,7 @@ def _path_of_figure7(axes: Any, robot: Robot, course: Figure7) -> None:
 
 
 def draw_handover(
-    robot: Robot,
+    robot: Platform,
     runs: Sequence[handover.HandoverRun],
     position_bound: float,
     heading_bound: float,
@@ -164,7 +164,7 @@ def draw_handover(
         save_figure(figure, path)
 
 
-def _from_above(axes: Any, robot: Robot, run: handover.HandoverRun) -> None:
+def _from_above(axes: Any, robot: Platform, run: handover.HandoverRun) -> None:
     """Draw the ways of both robots, and their outlines at the same times."""
     rows = np.searchsorted(run.times, np.arange(0.0, run.times[-1], SNAPSHOT_PERIOD))
     for poses, colour in ((run.leader, ORANGE), (run.follower, BLUE)):
@@ -223,12 +223,12 @@ def _label(axes: Any, title: str, across: str) -> None:
 # ---- cases of MPC 2021 and workshop -------------------------------------------------------------
 
 
-def draw_case(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
+def draw_case(robot: Platform, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw a drive with its gaps: with a map as a trail, else as snapshots."""
     (draw_snapshots if scene.grid is None else draw_trail)(robot, scene, planned, path)
 
 
-def draw_snapshots(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
+def draw_snapshots(robot: Platform, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw snapshots of a drive as a PNG file, as in Fig. 4 and 5 of MPC 2021, and its gaps."""
     evenly = [end_of(planned) * (k + 0.6) / SNAPSHOTS for k in range(SNAPSHOTS)]
     times = list(scene.snapshots) or evenly
@@ -251,7 +251,7 @@ def draw_snapshots(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Pa
         save_figure(figure, path)
 
 
-def draw_trail(robot: Robot, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
+def draw_trail(robot: Platform, scene: MpcCase, planned: PlannedDrive, path: Path) -> None:
     """Draw a drive through a building as a PNG file, and its gaps."""
     view = TopView(robot, scene, planned)
     bounds = view.bounds([0.0])
@@ -287,7 +287,7 @@ def _gaps(axes: Any, planned: PlannedDrive, times: Sequence[float], obstacles: i
 class TopView:
     """View of a drive from above, at a single time or as a trail."""
 
-    def __init__(self, robot: Robot, scene: MpcCase, planned: PlannedDrive) -> None:
+    def __init__(self, robot: Platform, scene: MpcCase, planned: PlannedDrive) -> None:
         self.robot, self.scene, self.planned = robot, scene, planned
 
     def bounds(self, times: Sequence[float]) -> tuple[float, float, float, float]:
@@ -349,7 +349,7 @@ class TopView:
             _ellipse(axes, position, obstacle.semi_axes, obstacle.angle, **solid)
 
 
-def draw_robot(axes: Any, robot: Robot, pose: Array, colour: str, fill: float = 0.0) -> None:
+def draw_robot(axes: Any, robot: Platform, pose: Array, colour: str, fill: float = 0.0) -> None:
     """Draw outline and front mark of a robot at a pose (3,), its area with an opacity."""
     half = 0.5 * np.array([robot.body.length, robot.body.width])
     box, nose = _to_odom(BOX_CORNERS * half, pose), _to_odom(FRONT_MARK * half, pose)

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanBridgeParameters:
     """Parameters of the node: robot, installation, and automatic start."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     can: CanParameters
     autostart: bool = parameter(
         True,

@@ -18,7 +18,7 @@ from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import Spec, build, specs
 from omniman_ros.nodes.rclpy_compat import parameter_overrides
 from omniman_ros.nodes.registry import unknown_names
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 T = TypeVar("T")
 
@@ -103,7 +103,7 @@ class ParameterSet(Generic[T]):
         name = self._node.declare_parameter("robot", "omniman", robot_descriptor).value
         if "wheels.names" in self._overrides:
             return {}
-        values = load_robot(name)
+        values = robot_parameters(name)
         for sentence in unknown_names(values, self._specs):
             raise ParameterError("robot", name, sentence)
         return values

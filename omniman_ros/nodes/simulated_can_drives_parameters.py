@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -14,7 +14,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 class SimulatedCanDrivesParameters(ClockParameters):
     """Parameters of the node: robot, simulation, installation, faults and time."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     simulation: SimulationParameters = inline()
     can: CanParameters
     can_faults: CanFaultParameters

@@ -6,7 +6,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.simulation.plant.imu import ImuSensorParameters
@@ -20,7 +20,7 @@ SLOWEST_CLOCK = 100.0
 class SimulatedDriveParameters(ClockParameters):
     """Parameters of the node: robot, simulation, rates and time."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     arm: ArmParameters
     mount: Mount
     simulation: SimulationParameters = inline()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
@@ -167,7 +167,7 @@ class Arrival:
 class PlannerParameters:
     """All parameters of the planner, including those of the robot."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     limits: TwistLimits
     horizon: Horizon
     weights: Weights

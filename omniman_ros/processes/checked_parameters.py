@@ -11,9 +11,9 @@ from omniman_ros.console.terminal import say
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.errors import FileError, OmnimanError, ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.nodes.registry import parameter_class, unknown_names
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.yaml_files import FOR_ALL_NODES, PARAMETERS, parse_value, read_parameters
 
 
@@ -41,7 +41,7 @@ def robot_values(
             for sentence in unknown_names(section.values):
                 say(f"warning: {file}: {sentence}", sys.stderr)
     found |= values or {}
-    PlatformKinematics(build(Robot, found).wheels)
+    PlatformKinematics(build(Platform, found).wheels)
     return found
 
 
@@ -53,7 +53,7 @@ def check_node(node: str, namespace: str, arguments: Sequence[str]) -> None:
         values = {} if "wheels.names" in given else _robot(robot)
         values |= given
         build(parameter_class(node), values)
-        PlatformKinematics(build(Robot, values).wheels)
+        PlatformKinematics(build(Platform, values).wheels)
     except ParameterError as error:
         source = "" if error.name == "robot" else sources.get(error.name, f"robot '{robot}': ")
         raise CommandError(f"{source}{error}", 2) from error
@@ -63,7 +63,7 @@ def check_node(node: str, namespace: str, arguments: Sequence[str]) -> None:
 
 def _robot(robot: str) -> dict[str, Any]:
     """Return the parameters in a robot's file, all of which a node of the package has."""
-    values = dict(load_robot(robot))
+    values = dict(robot_parameters(robot))
     for sentence in unknown_names(values):
         raise ParameterError("robot", robot, sentence)
     return values

@@ -22,7 +22,7 @@ from omniman_ros.processes.drive_options import (
     simulated_bus_arguments,
 )
 from omniman_ros.processes.process_group import ProcessSpec
-from omniman_ros.robots import load_robot, robot_file
+from omniman_ros.robots import robot_file, robot_parameters
 from omniman_ros.simulation.scene_files import load_scene, scene_file
 
 
@@ -245,7 +245,7 @@ def _arm_arguments(
         kind.name: list(shared) for kind in chosen if kind.arms or kind.name in ARM_AWARE_NODES
     }
     has_both = "simulated_world" in names and "simulated_ur" in names
-    if has_both and load_robot(robot).get("arm.mass", 0.0) > 0.0:
+    if has_both and robot_parameters(robot).get("arm.mass", 0.0) > 0.0:
         for name, more in world_arm_arguments().items():
             arguments.setdefault(name, []).extend(more)
     return arguments

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Body
+from omniman_ros.core.platform import Body
 from omniman_ros.viewer.meshes import Mesh, joined, plate, prism, revolved, rounded
 
 OBSTACLE_HEIGHT = 0.6  #: Height of an obstacle [m]

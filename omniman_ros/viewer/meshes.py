@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.collision.convex_pieces import convex_pieces
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 Triangles = NDArray[np.int64]  #: Indices (t, 3) of the vertices of triangles
 
@@ -186,7 +186,7 @@ class BodyShape:
     height: float  #: Height of the deck's upper side [m]
 
 
-def body(robot: Robot) -> BodyShape:
+def body(robot: Platform) -> BodyShape:
     """Return the platform's meshes; heights are derived from the wheels.
 
     A platform with an outline of its own is a plate above the wheels, with nothing below it.

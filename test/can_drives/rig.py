@@ -12,8 +12,8 @@ from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.can_drives.network import SimulatedBus
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -34,9 +34,9 @@ class Rig:
     """
 
     def __init__(self, protocol="cia402", robot="omniman", simulation=None, **changes):
-        values = load_robot(robot)
-        self.robot = build(Robot, values)
-        given = dict(load_robot(str(CONFIG / f"{protocol}.yaml")))
+        values = robot_parameters(robot)
+        self.robot = build(Platform, values)
+        given = dict(robot_parameters(str(CONFIG / f"{protocol}.yaml")))
         given |= {f"can.{key}": value for key, value in changes.items()}
         self.parameters = build(CanParameters, given, "can.")
         plant = build(SimulationParameters, {"plant.lifted": True} | (simulation or {}))

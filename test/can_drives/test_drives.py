@@ -14,8 +14,8 @@ from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform
+from omniman_ros.robots import robot_parameters
 from test.can_drives.scripted import COMMAND, ENTRY, SYNC, report
 
 PERIOD = 0.005
@@ -28,7 +28,7 @@ class Bench:
 
     def __init__(self, monkeypatch, **changes):
         monkeypatch.setitem(protocols.PROTOCOLS, "vesc", ENTRY)
-        robot = build(Robot, load_robot("omniman"))
+        robot = build(Platform, robot_parameters("omniman"))
         given = {"protocol": "vesc", "nodes": NODES, "direction": (1.0, -1.0, 1.0, -1.0)}
         values = {f"can.{key}": value for key, value in (given | changes).items()}
         self.parameters = build(CanParameters, values, "can.")

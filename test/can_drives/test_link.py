@@ -9,8 +9,8 @@ from omniman_ros.can_drives.drives import LISTEN_TIME, CanDrivesPhase
 from omniman_ros.can_drives.link import CanLink
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform
+from omniman_ros.robots import robot_parameters
 from test.can_drives.fake_bus import FakeBus, message
 from test.can_drives.scripted import COMMAND, ENTRY, REPORT, SYNC
 
@@ -34,7 +34,7 @@ def link(monkeypatch):
     monkeypatch.setitem(protocols.PROTOCOLS, "vesc", ENTRY)
     fake = FakeBus(True)
     monkeypatch.setattr(can, "Bus", lambda **options: fake)
-    robot = build(Robot, load_robot("omniman"))
+    robot = build(Platform, robot_parameters("omniman"))
     made = CanLink(robot, CanParameters(nodes=NODES, protocol="vesc"), Clock())
     made.fake = fake
     yield made

@@ -19,8 +19,8 @@ from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform
+from omniman_ros.robots import robot_parameters
 
 GEAR = Transmission(
     ratio=-20.0,
@@ -30,7 +30,7 @@ GEAR = Transmission(
     max_voltage=24.0,
     max_torque=8.0,
 )
-ROBOT = build(Robot, load_robot("omniman"))
+ROBOT = build(Platform, robot_parameters("omniman"))
 INSTALLATION = CanParameters(nodes=(1, 2, 3, 4), direction=(1.0, -1.0, 1.0, -1.0))
 torques = st.floats(-8.0, 8.0)
 wheel_speeds = st.floats(-30.0, 30.0)

@@ -10,7 +10,7 @@ from omniman_ros.control.dynamics import PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.stability import SupportModel
 from omniman_ros.description.arm_mass import ArmMass
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 pytest.importorskip("mujoco")
 
@@ -63,7 +63,7 @@ def test_the_wheels_bear_what_the_controller_computes_at_rest_and_in_acceleratio
 
 
 def test_a_robot_that_lifted_wheels_in_a_stop_keeps_them_on_the_floor_on_the_same_way():
-    known = load_robot("omniman")
+    known = robot_parameters("omniman")
     narrow = {**known, **PAYLOAD, "wheels.y": [TRACK * y for y in known["wheels.y"]], **HIGH}
     before, after = (
         drive(narrow, [(0.0, 1.0, 0.0)], 1.2, knows_posture=knows) for knows in (False, True)
@@ -76,7 +76,7 @@ def test_a_robot_that_lifted_wheels_in_a_stop_keeps_them_on_the_floor_on_the_sam
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("mode", ["torque", "velocity"])
 def test_the_feed_forward_with_the_posture_follows_better(mode):
-    robot = {**load_robot("omniman"), **PAYLOAD, "drive.mode": mode}
+    robot = {**robot_parameters("omniman"), **PAYLOAD, "drive.mode": mode}
     twists = [(0.0, 0.8, 0.0), (0.0, 0.0, 1.0), (0.5, 0.0, -0.8)]
     fixed, moved = (drive(robot, twists, 1.0, knows_posture=knows) for knows in (False, True))
     assert moved.speed_error < 0.85 * fixed.speed_error

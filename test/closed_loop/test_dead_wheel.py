@@ -10,7 +10,7 @@ import pytest
 
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -308,7 +308,7 @@ def ride(seed, robot, mode, seconds, trouble):
             for k, v in robots.values(robot).items()
             if k in ("body.mass", "body.inertia")
         }
-        heavy_robot = build(Robot, {**robots.values(robot), **heavy})
+        heavy_robot = build(Platform, {**robots.values(robot), **heavy})
         loop.drives.configure(heavy_robot, build(SimulationParameters, simulation))
     asked, left = 0, 0
     for _ in range(round(seconds / PERIOD)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 FAR = 100.0  #: Distance above which the engine need not find one [m]
 BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -28,7 +28,7 @@ class Shape:
 
 def description(name="omniman"):
     """Return the description of a robot of the package."""
-    return build(DescriptionParameters, load_robot(name))
+    return build(DescriptionParameters, robot_parameters(name))
 
 
 class EngineBody:

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.timed_curve import TimedCurve
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 #: Joint angles at which the arm points up [rad]
 UPRIGHT = np.array([0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0])
@@ -23,7 +23,7 @@ FOLDED = np.array([0.0, -0.5 * math.pi, 2.9, 0.0, 0.0, 0.0])
 @pytest.fixture(scope="module")
 def body():
     """Return the shapes of the robot with a tool and a load."""
-    description = build(DescriptionParameters, load_robot("omniman"))
+    description = build(DescriptionParameters, robot_parameters("omniman"))
     load = LoadShape(length=0.2, width=0.15, height=0.1, distance=0.15)
     return BodyGeometry(description, ToolShape(length=0.15), load)
 

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from omniman_ros.core.parameters import specs
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
 from omniman_ros.processes.nav2_setup import nav2_parameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 ROBOTS = ("omniman", "ig42")
 COSTMAPS = ["local_costmap", "global_costmap"]
@@ -30,7 +30,7 @@ def nav2(name):
 
 @pytest.fixture(scope="module")
 def robot(name):
-    return load_robot(name)
+    return robot_parameters(name)
 
 
 def parameters(nav2, *names):

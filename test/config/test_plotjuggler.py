@@ -7,11 +7,11 @@ import pytest
 from omniman_ros.conversions.coupling import coupling_names
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
-from omniman_ros.robots import load_robot
+from omniman_ros.core.platform import Platform
+from omniman_ros.robots import robot_parameters
 from test.config.documented import ROOT, documented_topics
 
-WHEELS = build(Robot, load_robot("omniman")).wheels.names
+WHEELS = build(Platform, robot_parameters("omniman")).wheels.names
 JOINTS = ArmParameters().joints
 STATUS = ("solve_ms", "slack_m", "distance_m")
 

@@ -11,7 +11,7 @@ from omniman_ros.control.kinematics import (
     wheel_row,
 )
 from omniman_ros.core.errors import GeometryError
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 from test.robots import ALL, kinematics, random_wheels, robot
 
 COUNTS = range(3, 9)

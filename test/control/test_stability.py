@@ -20,7 +20,7 @@ from omniman_ros.control.stability import (
     support_edges,
 )
 from omniman_ros.core.arbiter import Source
-from omniman_ros.core.robot import Arm
+from omniman_ros.core.platform import Arm
 from test.control.rig import DT, Rig
 from test.robots import parameters, robot
 

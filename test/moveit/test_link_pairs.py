@@ -6,7 +6,7 @@ import pytest
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.moveit.link_pairs import Reason, unchecked_pairs
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 mujoco = pytest.importorskip("mujoco", reason="the reference is a physics engine")
 
@@ -15,7 +15,7 @@ FAR = 10.0
 
 
 def describe(name):
-    return build(DescriptionParameters, load_robot(name))
+    return build(DescriptionParameters, robot_parameters(name))
 
 
 def test_no_pair_that_is_said_to_be_clear_ever_touches():

@@ -23,11 +23,11 @@ from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.nodes.can_bridge import CanBridgeNode
 from omniman_ros.nodes.hardware_node import MAX_RETRIES, RETRY_PERIOD
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.can_drives.network import SimulatedBus
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -38,7 +38,7 @@ PARAMETERS = {
     "can.rate": 100.0,
     "can.direction": [1.0, -1.0, 1.0, -1.0],
 }
-NAMES = list(load_robot("omniman")["wheels.names"])
+NAMES = list(robot_parameters("omniman")["wheels.names"])
 SHORTEST_WAIT = 1e-4
 TIMEOUT = 10.0
 
@@ -56,7 +56,7 @@ class SteppedBus:
     def __init__(self):
         values = {k: tuple(v) if isinstance(v, list) else v for k, v in PARAMETERS.items()}
         plant = build(SimulationParameters, {"plant.lifted": True})
-        robot = build(Robot, load_robot("omniman"))
+        robot = build(Platform, robot_parameters("omniman"))
         self.simulated = SimulatedBus(robot, plant, build(CanParameters, values, "can."))
         self.world = None
         self.is_on = True

@@ -11,14 +11,14 @@ from rclpy.serialization import deserialize_message, serialize_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.nodes.registry import NODES, node_module
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from test.fuzz import examples
 from test.nodes.harness import World
 from test.nodes.random_messages import RandomMessages
 from test.nodes.test_documented_interfaces import parameters_of
 from test.tiers import representative
 
-WHEELS = list(load_robot("omniman")["wheels.names"])
+WHEELS = list(robot_parameters("omniman")["wheels.names"])
 WORDS = [*WHEELS, *UR_JOINTS, "platform", "odom", "map", "base_link", "arm"]
 COMMANDS = ("wheel_commands", "wheel_voltages", "arm/joint_reference", "path/reference")
 COMMANDS += ("mpc/reference", "mpc/voltages", "motion_limit", "odom")

@@ -545,11 +545,11 @@ def test_robot_given_as_parameters_uses_no_file():
         seen["set"] = node.settings
         return node
 
-    from omniman_ros.robots import load_robot
+    from omniman_ros.robots import robot_parameters
 
     given = {
         name: list(v) if isinstance(v, (list, tuple)) else v
-        for name, v in load_robot("ig42").items()
+        for name, v in robot_parameters("ig42").items()
     }
     with World(make, parameters=given):
         robot = seen["set"].value.platform.robot

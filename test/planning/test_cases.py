@@ -7,16 +7,16 @@ import pytest
 
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.planning.cases import CASES, RADIUS, TwoVelocityPath
 from omniman_ros.planning.obstacles.separation import box_gap
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 
 @pytest.fixture(scope="module")
 def body():
     """Return half the dimensions of the paper's robot."""
-    return build(Robot, load_robot("ig42")).body
+    return build(Platform, robot_parameters("ig42")).body
 
 
 def gaps(pose, case, body, time=0.0):
@@ -94,7 +94,7 @@ def test_obstacle_that_never_turns_moves_straight():
 @pytest.mark.parametrize("robot", ["ig42", "omniman"])
 @pytest.mark.parametrize("name", CASES)
 def test_case_scales_to_robots_of_other_sizes(name, robot):
-    body = build(Robot, load_robot(robot)).body
+    body = build(Platform, robot_parameters(robot)).body
     case, plain = CASES[name].fitting(body.length, body.width), CASES[name]
     assert case.name == name and case.goal[2] == plain.goal[2]
     if robot == "ig42":

@@ -9,7 +9,7 @@ from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.viewer.body_view import BodyShapes, obstacles_around
 from omniman_ros.viewer.map_image import FREE, MOST_PIXELS, OCCUPIED, map_image, map_pixels
 from omniman_ros.viewer.perceived import (
@@ -93,7 +93,7 @@ def test_a_map_lies_where_its_corner_says():
 
 @pytest.fixture(scope="module")
 def shapes():
-    description = build(DescriptionParameters, load_robot("omniman"))
+    description = build(DescriptionParameters, robot_parameters("omniman"))
     return BodyShapes(description, ToolShape(), LoadShape())
 
 
@@ -110,7 +110,7 @@ def test_the_nearest_thing_is_found_with_the_part_and_the_distance(shapes):
     view = shapes.view(pose, ARM, near((1.0, 3.0, 0.2), (1.0, -2.0, 0.2), (-1.5, 0.0, 0.2)))
     assert view.nearest is not None
     tip = view.footprint[..., 1].max()
-    length = load_robot("omniman")["body.length"]
+    length = robot_parameters("omniman")["body.length"]
     assert view.nearest.distance == pytest.approx(2.0 - 0.5 * length)
     assert view.nearest.part == "platform", "the arm is in front, the point behind"
     assert view.nearest.line[1, :2] == pytest.approx((1.0, -2.0))

@@ -25,7 +25,7 @@ from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, RED, paint, say
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.excitation import (
     MIN_DURATION,
     Excitation,
@@ -49,7 +49,7 @@ from omniman_ros.identification.robot_session import Recording, RobotSession, re
 from omniman_ros.identification.simulated_robot import run_with_simulated_robot
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 NAME = "identify_floor"  #: Stem of the names of the result's files
 NODES = ("platform_controller", "simulated_drive")  #: Nodes of the simulated robot
@@ -108,7 +108,7 @@ def drive_simulated_robot(args: argparse.Namespace) -> FloorRecord:
     Its masses, friction and gear differ from its configuration.
     """
     name = resolve_robot(args.robot or "omniman")
-    values = load_robot(name)
+    values = robot_parameters(name)
     other = other_parameters(values)
     lines = ["/**/simulated_drive:", "  ros__parameters:"]
     lines += [f"    {key}: {value}" for key, value in other.items()]
@@ -131,7 +131,7 @@ def drive_simulated_robot(args: argparse.Namespace) -> FloorRecord:
             args.verbose,
             lambda poll: measure(args, poll, None),
         )
-    return replace(record, truth=build(Robot, {**values, **other}))
+    return replace(record, truth=build(Platform, {**values, **other}))
 
 
 def drive_running_robot(args: argparse.Namespace) -> FloorRecord:

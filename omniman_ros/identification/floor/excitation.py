@@ -16,7 +16,7 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.planar import PlanarSample, Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.regressor import FloorModel, SignWidths
 from omniman_ros.identification.floor.solution import WINDOW_STEP, WINDOW_WIDTH, expected_variances
@@ -96,7 +96,7 @@ class Excitation:
 
 
 def choose_excitation(
-    robot: Robot, limits: TwistLimits, reach: float, duration: float, seed: int = 0
+    robot: Platform, limits: TwistLimits, reach: float, duration: float, seed: int = 0
 ) -> Excitation:
     """Choose a drive for the identification.
 
@@ -120,7 +120,7 @@ def choose_excitation(
 
 
 def random_excitation(
-    robot: Robot, limits: TwistLimits, reach: float, duration: float, seed: int
+    robot: Platform, limits: TwistLimits, reach: float, duration: float, seed: int
 ) -> Excitation:
     """Return a drive within the limits that is not chosen for anything, to check a result on."""
     rng = np.random.default_rng(seed)
@@ -144,7 +144,7 @@ def _random_drive(
 
 
 def _within_limits(
-    drive: Excitation, robot: Robot, limits: TwistLimits, reach: float
+    drive: Excitation, robot: Platform, limits: TwistLimits, reach: float
 ) -> Excitation:
     """Fit the amplitudes to the square and to the yaw rate, and slow the drive to its limits."""
     dynamics = PlatformDynamics(robot, PlatformKinematics(robot.wheels))
@@ -184,7 +184,7 @@ def _speed_excess(drive: Excitation, times: Array, limits: TwistLimits) -> float
 
 
 def _torque_excess(
-    drive: Excitation, times: Array, robot: Robot, dynamics: PlatformDynamics
+    drive: Excitation, times: Array, robot: Platform, dynamics: PlatformDynamics
 ) -> float:
     """Return the largest ratio of wheel torques and speeds to what the drive may use."""
     wheel_speeds, torques = _wheel_motion(drive, times, robot, dynamics)
@@ -196,7 +196,7 @@ def _torque_excess(
 
 
 def _wheel_motion(
-    drive: Excitation, times: Array, robot: Robot, dynamics: PlatformDynamics
+    drive: Excitation, times: Array, robot: Platform, dynamics: PlatformDynamics
 ) -> tuple[Array, Array]:
     """Return wheel speeds and torques (k, n) of a drive by the configured parameters."""
     twists, rates = body_motion(*drive.track(times))

@@ -7,7 +7,7 @@ import numpy as np
 from omniman_ros.control.dynamics import PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.windows import Windows
 
@@ -23,7 +23,7 @@ class FeedForwardResidual:
     strain: float  #: The part by which the wheels strain against one another [A]
 
 
-def feed_forward_residual(drive: FloorDrive, robot: Robot) -> FeedForwardResidual:
+def feed_forward_residual(drive: FloorDrive, robot: Platform) -> FeedForwardResidual:
     """Return what the feed-forward leaves to the drives' controllers.
 
     The feed-forward of a robot's parameters is evaluated at the measured motion.

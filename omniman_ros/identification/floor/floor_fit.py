@@ -14,7 +14,7 @@ import numpy as np
 from omniman_ros.control.dynamics import GRAVITY, PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Friction, Robot
+from omniman_ros.core.platform import Friction, Platform
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.motor_fit import MotorFit, fit_motors
 from omniman_ros.identification.floor.regressor import (
@@ -62,7 +62,7 @@ class FloorEstimate:
 class FloorFit:
     """Result of the identification."""
 
-    robot: Robot  #: The robot as identified; what is not determined is as configured
+    robot: Platform  #: The robot as identified; what is not determined is as configured
     #: Quantities by name: mass, com_x, com_y, inertia (about the centre of mass) of platform and
     #: arm together, wheel_inertia (over the configured), gear_efficiency, `viscous.WHEEL`,
     #: `coulomb.WHEEL`, `drag.WHEEL` [N], `drag DIRECTION` and `friction DIRECTION` (CCTA 2017 (23)
@@ -78,7 +78,7 @@ class FloorFit:
     typical: Array  #: (3,) RMS of the motors' forces and torque [N, N, N m]
 
 
-def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
+def identify_floor(drive: FloorDrive, robot: Platform) -> FloorFit:
     """Identify a robot from a drive on the floor.
 
     Raises:
@@ -183,7 +183,7 @@ def _quantities(model: FloorModel, unknowns: Array, back_emf: Array) -> dict[str
     return {name: float(value) for name, value in values.items()}
 
 
-def configured_quantities(robot: Robot) -> dict[str, float]:
+def configured_quantities(robot: Platform) -> dict[str, float]:
     """Return the quantities of :class:`FloorFit` that a robot's parameters say."""
     motor = robot.motor
     back_emf = np.full(robot.wheel_count, motor.gear_ratio * motor.torque_constant)
@@ -242,7 +242,7 @@ def _undetermined(
     return spread, spread / np.maximum(np.linalg.norm(gradient, axis=1), 1e-12)
 
 
-def identified_robot(robot: Robot, values: dict[str, float]) -> Robot:
+def identified_robot(robot: Platform, values: dict[str, float]) -> Platform:
     """Return the robot as identified, the arm as configured; it may raise a ParameterError."""
     arm, wheels = robot.arm, robot.wheels
     mass, x, y = values["mass"], values["com_x"], values["com_y"]

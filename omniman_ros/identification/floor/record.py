@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.parameters import build, flatten
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.record_file import load_record, save_record
 
@@ -23,10 +23,10 @@ DIGITS = 7  #: Number of decimals in the file
 class FloorRecord:
     """Input of an identification."""
 
-    robot: Robot  #: The robot as configured, with calibrated wheel radii
+    robot: Platform  #: The robot as configured, with calibrated wheel radii
     drive: FloorDrive | None = None  #: The drive to fit; None before it was driven
     check: FloorDrive | None = None  #: A drive to which nothing is fitted; None if there is none
-    truth: Robot | None = None  #: The simulated robot, in simulation only
+    truth: Platform | None = None  #: The simulated robot, in simulation only
 
 
 def save(record: FloorRecord, path: Path) -> None:
@@ -47,10 +47,10 @@ def load(path: Path) -> FloorRecord:
 
 def _parse(tree: Mapping[str, Any]) -> FloorRecord:
     return FloorRecord(
-        robot=build(Robot, tree["robot"]),
+        robot=build(Platform, tree["robot"]),
         drive=_drive(tree["drive"]),
         check=_drive(tree["check"]),
-        truth=tree["truth"] and build(Robot, tree["truth"]),
+        truth=tree["truth"] and build(Platform, tree["truth"]),
     )
 
 

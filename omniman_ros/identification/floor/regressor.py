@@ -23,7 +23,7 @@ import numpy as np
 from omniman_ros.control.dynamics import GRAVITY, PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.windows import Windows, resample, speeds
 
@@ -64,7 +64,7 @@ class FloorModel:
         spread: (p,) deviations from them that are expected.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Platform) -> None:
         self.robot = robot  #: The same
         self.is_gear_known = False  #: Whether the gear's efficiency stays as expected
         self.kinematics = PlatformKinematics(robot.wheels)

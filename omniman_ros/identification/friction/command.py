@@ -22,7 +22,7 @@ from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, paint, say
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.drive_session import DriveNode, DriveSession
 from omniman_ros.identification.friction.friction_fit import WheelFriction, identify_friction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth, load, save
@@ -32,7 +32,7 @@ from omniman_ros.identification.line_reader import EndOfInputError, LineReader
 from omniman_ros.identification.simulated_robot import run_with_simulated_robot
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 NAME = "identify_friction"  #: Stem of the names of the result's files
 NODES = ("simulated_drive",)  #: Nodes of the simulated robot
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     if args.runs is not None:
         record = load(Path(args.runs))
         if args.robot is not None:
-            record = replace(record, robot=build(Robot, load_robot(args.robot)))
+            record = replace(record, robot=build(Platform, robot_parameters(args.robot)))
         return conclude(record, folder)
     if not args.simulate and args.param:
         raise CommandError("-p is for --simulate: a running robot has its own parameters", 2)
@@ -76,7 +76,7 @@ def check_options(args: argparse.Namespace) -> None:
 # ---- in simulation -----------------------------------------------------------------------------
 
 
-def mismatch_parameters(robot: Robot) -> list[str]:
+def mismatch_parameters(robot: Platform) -> list[str]:
     """Return assignments NAME:=VALUE by which the simulated wheels and sensors differ."""
     n = robot.wheel_count
 
@@ -96,7 +96,7 @@ def measure_simulated_drive(args: argparse.Namespace) -> FrictionRecord:
     set_by_user = {text.partition(":=")[0] for text in args.param}
     mismatch = [
         text
-        for text in mismatch_parameters(build(Robot, load_robot(robot)))
+        for text in mismatch_parameters(build(Platform, robot_parameters(robot)))
         if text.partition(":=")[0] not in set_by_user
     ]
     params = [*LENIENT_TIMEOUTS, "plant.lifted:=true", *mismatch, *args.param]
@@ -113,7 +113,7 @@ def measure_simulated_drive(args: argparse.Namespace) -> FrictionRecord:
     )
 
 
-def true_friction(drive: DriveNode, robot: Robot) -> Truth:
+def true_friction(drive: DriveNode, robot: Platform) -> Truth:
     """Return the friction that a simulated drive has."""
     factors = list(drive.values.get("mismatch.friction", [1.0]))
     factors = factors if len(factors) > 1 else factors * robot.wheel_count
@@ -140,12 +140,12 @@ def measure_running_drive(args: argparse.Namespace) -> FrictionRecord:
         return measure(args, poll, keyboard, is_simulated=False)
 
 
-def configured_robot(args: argparse.Namespace, drive: DriveNode, is_simulated: bool) -> Robot:
+def configured_robot(args: argparse.Namespace, drive: DriveNode, is_simulated: bool) -> Platform:
     """Return the robot that the user or the drive describes."""
     if args.robot is not None and not is_simulated:
-        return build(Robot, load_robot(args.robot))
+        return build(Platform, robot_parameters(args.robot))
     try:
-        return build(Robot, drive.values)
+        return build(Platform, drive.values)
     except ParameterError as error:
         raise CommandError(
             f"{drive.name} does not report the robot's data ({error}): give --robot"
@@ -182,7 +182,7 @@ def measure(
         return measured()
 
 
-def explain(plan: VoltagePlan, robot: Robot) -> None:
+def explain(plan: VoltagePlan, robot: Platform) -> None:
     """Explain the experiment and its preparation to the user."""
     top = max(plan.levels)
     speed = top / (robot.motor.gear_ratio * robot.motor.torque_constant)

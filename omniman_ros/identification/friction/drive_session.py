@@ -23,7 +23,7 @@ from omniman_ros.conversions.wheels import electrical_arrays
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import specs
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.experiment import ExperimentPhase, FrictionExperiment
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
@@ -67,7 +67,7 @@ class DriveSession:
     ) -> None:
         self._session, self._progress = session, progress
         self._poll, self._clock = poll, clock
-        self._robot: Robot | None = None
+        self._robot: Platform | None = None
         self._order: list[int] | None = None
         self._experiment: FrictionExperiment | None = None
         self._publisher: Any = None
@@ -191,14 +191,14 @@ class DriveSession:
         client = self._session.node.create_client(GetParameters, f"{drives[0]}/get_parameters")
         if not self._wait_until(client.service_is_ready, DISCOVERY_TIMEOUT):
             return DriveNode(drives[0], {})
-        names = [spec.name for spec in specs(Robot)]
+        names = [spec.name for spec in specs(Platform)]
         names += [SIM_TIME, PUBLISHES_CLOCK, *more_parameters]
         values = read_parameters(self._session, client, drives[0], names)
         if values.get(SIM_TIME) or values.get(PUBLISHES_CLOCK):
             raise CommandError(f"{drives[0]} runs on simulated time: start it without")
         return DriveNode(drives[0], values)
 
-    def connect(self, robot: Robot) -> None:
+    def connect(self, robot: Platform) -> None:
         """Wait until all feedback of a robot is received and its drive accepts voltages."""
         self._robot = robot
         if not self._wait_until(lambda: {STATES, ELECTRICAL} <= self._received, DISCOVERY_TIMEOUT):

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.feedback_monitor import MAX_PAUSE, FeedbackMonitor
 from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.friction.level_samples import ExperimentError, LevelSamples
@@ -39,7 +39,7 @@ class ExperimentPhase(enum.Enum):
 class FrictionExperiment:
     """Applies the voltages of a plan to the wheels, and collects the steady runs."""
 
-    def __init__(self, robot: Robot, plan: VoltagePlan, now: float) -> None:
+    def __init__(self, robot: Platform, plan: VoltagePlan, now: float) -> None:
         self._plan = plan
         self._back_emf = robot.motor.gear_ratio * robot.motor.torque_constant
         self._current_floor = NOISE_FLOOR * robot.motor.max_current

@@ -12,7 +12,7 @@ import numpy as np
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
@@ -33,7 +33,7 @@ class FeedbackMonitor:
     that fails raises an ExperimentError.
     """
 
-    def __init__(self, robot: Robot, plan: VoltagePlan, now: float) -> None:
+    def __init__(self, robot: Platform, plan: VoltagePlan, now: float) -> None:
         motor, n = robot.motor, robot.wheel_count
         self._plan = plan
         self._names = robot.wheels.names
@@ -46,7 +46,7 @@ class FeedbackMonitor:
         self.speed = np.full(n, math.inf)  #: (n,) latest speeds [rad/s]; infinite without a state
         self.current = np.zeros(n)  #: (n,) latest motor currents [A]
 
-    def _strain_limits(self, robot: Robot) -> Array:
+    def _strain_limits(self, robot: Platform) -> Array:
         """Return the currents (n,) [A] above which wheels do not rotate freely, ramps included."""
         friction, motor = robot.friction, robot.motor
         gain = motor.gear_efficiency * self._back_emf

@@ -27,7 +27,7 @@ from omniman_ros.control.dynamics import SIGN_WIDTH
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.robust_statistics import (
     Flags,
     RobustFit,
@@ -137,7 +137,7 @@ class WheelFriction:
         return width
 
 
-def friction_torque(run: SteadyRun, robot: Robot) -> Array:
+def friction_torque(run: SteadyRun, robot: Platform) -> Array:
     """Return the friction torques (n,) [N m] in a steady run, MPC 2021 (22) with tau = 0."""
     motor = robot.motor
     gain = motor.gear_efficiency * motor.gear_ratio * motor.torque_constant
@@ -145,7 +145,7 @@ def friction_torque(run: SteadyRun, robot: Robot) -> Array:
     return torque
 
 
-def identify_friction(runs: Sequence[SteadyRun], robot: Robot) -> tuple[WheelFriction, ...]:
+def identify_friction(runs: Sequence[SteadyRun], robot: Platform) -> tuple[WheelFriction, ...]:
     """Fit the friction of each wheel, in the robot's order.
 
     Args:
@@ -162,7 +162,7 @@ def identify_friction(runs: Sequence[SteadyRun], robot: Robot) -> tuple[WheelFri
     return tuple(_identify_wheel(runs, robot, k) for k in range(n))
 
 
-def _identify_wheel(runs: Sequence[SteadyRun], robot: Robot, k: int) -> WheelFriction:
+def _identify_wheel(runs: Sequence[SteadyRun], robot: Platform, k: int) -> WheelFriction:
     motor, name = robot.motor, robot.wheels.names[k]
     is_usable = [bool(run.steady[k]) and abs(run.speed[k]) >= MIN_SPEED for run in runs]
     indices = [index for index, usable in enumerate(is_usable) if usable]

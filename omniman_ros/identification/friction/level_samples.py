@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.friction.robust_statistics import line_slopes, robust_mean
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
@@ -25,7 +25,7 @@ class ExperimentError(OmnimanError):
 class LevelSamples:
     """Collects the samples of one voltage level."""
 
-    def __init__(self, robot: Robot, plan: VoltagePlan) -> None:
+    def __init__(self, robot: Platform, plan: VoltagePlan) -> None:
         motor = robot.motor
         back_emf = motor.gear_ratio * motor.torque_constant
         self._names = robot.wheels.names

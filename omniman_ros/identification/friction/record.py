@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from omniman_ros.core.parameters import build, flatten
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.record_file import load_record, save_record
 
@@ -29,7 +29,7 @@ class Truth:
 class FrictionRecord:
     """Input of a fit."""
 
-    robot: Robot  #: The robot as configured
+    robot: Platform  #: The robot as configured
     runs: tuple[SteadyRun, ...] = ()  #: Steady runs in the order in which they were measured
     truth: Truth | None = None  #: True friction, in simulation only
 
@@ -55,7 +55,7 @@ def load(path: Path) -> FrictionRecord:
 def _parse(tree: Mapping[str, Any]) -> FrictionRecord:
     truth = tree["truth"]
     return FrictionRecord(
-        robot=build(Robot, tree["robot"]),
+        robot=build(Platform, tree["robot"]),
         runs=tuple(
             SteadyRun(**{name: run[name] for name in RUN_ARRAYS}, samples=int(run["samples"]))
             for run in tree["runs"]

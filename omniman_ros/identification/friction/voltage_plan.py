@@ -16,7 +16,7 @@ import numpy as np
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.friction.friction_fit import MIN_SPEED
 
 TOP_FRACTION = 0.95  #: Fraction of the motor's largest voltage and speed that the experiment uses
@@ -52,7 +52,7 @@ class VoltagePlan:
         return runs * (self.settle_timeout + self.max_measurement + ramps)
 
 
-def balanced_signs(robot: Robot) -> Array:
+def balanced_signs(robot: Platform) -> Array:
     """Choose signs of equal wheel torques with the smallest force on a robot on the floor.
 
     Among the signs with the smallest force, those with the smallest moment are chosen. Wheel
@@ -77,7 +77,7 @@ def balanced_signs(robot: Robot) -> Array:
 
 
 def make_plan(
-    robot: Robot,
+    robot: Platform,
     levels: int = 6,
     rounds: int = 2,
     precision: float = 0.005,

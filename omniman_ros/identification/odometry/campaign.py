@@ -8,7 +8,7 @@ import numpy as np
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 
 Pose = tuple[float, float, float]  #: Position and heading of base_link on the floor [m, m, rad]
 

@@ -20,7 +20,7 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, RED, paint, say
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.line_reader import LineReader
 from omniman_ros.identification.odometry.campaign import Accuracy
 from omniman_ros.identification.odometry.drive_plan import TARGETS, Speeds, max_reach
@@ -40,7 +40,7 @@ from omniman_ros.identification.robot_session import RobotSession, read_controll
 from omniman_ros.identification.simulated_robot import run_with_simulated_robot
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 NAME = "identify_odometry"  #: Stem of the names of the result's files
 #: Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
@@ -111,7 +111,7 @@ def drive_simulated_robot(args: argparse.Namespace, accuracy: Accuracy | None) -
 
 def mismatch_parameters(robot: str) -> list[str]:
     """Return assignments NAME:=VALUE by which the simulated wheels differ from the configured."""
-    n = build(Robot, load_robot(robot)).wheel_count
+    n = build(Platform, robot_parameters(robot)).wheel_count
     return [
         f"{name}:=[{', '.join(str(values[i % len(values)]) for i in range(n))}]"
         for name, values in MISMATCH.items()

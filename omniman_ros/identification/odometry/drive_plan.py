@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from omniman_ros.console.errors import CommandError
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.planar import PlanarSample, Triple
-from omniman_ros.core.robot import Body
+from omniman_ros.core.platform import Body
 
 #: Ratio of the distance that is kept from the edge of the square to the reach. The longest run is
 #: 2.8 times the reach, and uncalibrated odometry has an error of a few per cent of it.

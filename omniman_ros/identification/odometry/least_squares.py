@@ -25,7 +25,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build, flatten
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 from omniman_ros.identification.odometry.campaign import Campaign
 from omniman_ros.identification.odometry.wheel_integration import arcs, between, forward_matrix
 

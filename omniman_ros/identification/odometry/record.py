@@ -10,7 +10,7 @@ import numpy as np
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build, flatten
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 from omniman_ros.identification.odometry.campaign import Accuracy, CalibrationRun, Campaign, Pose
 from omniman_ros.identification.record_file import load_record, save_record
 

@@ -10,7 +10,7 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Wheels
+from omniman_ros.core.platform import Wheels
 from omniman_ros.identification.odometry.campaign import Pose
 
 

@@ -23,14 +23,14 @@ from omniman_ros.console.terminal import say
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.bench.can_drives import COUNTS, open_bus
 from omniman_ros.lab.bench.harness import BenchmarkTable, at_most, conclude
 from omniman_ros.lab.measurement import cpu_time, spread_ms
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 from omniman_ros.processes.robot_setup import node_command
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 AIM_RATIO = 2.0  #: largest ratio of the bridge's median round-trip time to that of python-can
 RATES = (100.0, 250.0, 500.0)  #: [Hz]
@@ -68,7 +68,7 @@ class Bridge:
     """
 
     def __init__(self, rate: float, port: int, check: Callable[[], None]) -> None:
-        robot = build(Robot, load_robot("omniman"))
+        robot = build(Platform, robot_parameters("omniman"))
         values = {
             "can.interface": "udp_multicast",
             "can.channel": MULTICAST_GROUP,

@@ -26,7 +26,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.lab.bench.harness import (
     BenchmarkTable,
@@ -47,7 +47,7 @@ from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.obstacles import Observation
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.processes.robot_setup import resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
 from omniman_ros.simulation.world.occupancy import occupancy
@@ -107,7 +107,7 @@ class ClutterRun:
         return float(self.reached) * self.best_time / min(max(self.seconds, low), high)
 
 
-def clutter_world(seed: int, robot: Robot) -> tuple[Scene, float]:
+def clutter_world(seed: int, robot: Platform) -> tuple[Scene, float]:
     """Return a world through which the robot gets in any heading, and its best time [s].
 
     The start is at the origin of the scene.
@@ -170,7 +170,7 @@ def shortest_length(posts: Array, reach: float) -> float:
 class ScannerSenses:
     """Obstacles and map of a planner by one laser scanner of 270 degrees, 720 beams and 10 m."""
 
-    def __init__(self, robot: Robot, seed: int) -> None:
+    def __init__(self, robot: Platform, seed: int) -> None:
         from omniman_ros.simulation.world.scanner import Scanner  # needs the engine
 
         mounting = ScannerParameters(
@@ -275,7 +275,7 @@ def run(args: argparse.Namespace) -> int:
             raise CommandError(extra.hint)
     worlds = args.worlds or (QUICK_WORLDS if args.quick else WORLDS)
     jobs = args.jobs or os.cpu_count() or 1
-    robot = dict(load_robot(resolve_robot("ig42")))
+    robot = dict(robot_parameters(resolve_robot("ig42")))
     robots = {"jackal_size": {**robot, **JACKAL_SIZE}, "ig42": robot}
     conditions = {"first_seed": args.seed, "jobs": jobs}
     result: dict[str, Any] = {"quick": args.quick, "conditions": conditions, "drives": {}}

@@ -40,7 +40,7 @@ from omniman_ros.lab.measurement import spread_ms
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.processes.robot_setup import RobotSetup, node_command, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 AIM_TICK = 100.0  #: aim: largest CPU time of a tick of the controller's core, four wheels [us]
 AIM_RATIO = 1.3  #: aim: largest ratio of the controller's median latency to the relay's
@@ -198,7 +198,7 @@ def run(args: argparse.Namespace) -> int:
     relay = ProcessSpec("relay", node_command("omniman_ros.lab.bench.relay", ()))
     say("core tick ...")
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
-    result["core_tick_us"] = core_ticks(load_robot(args.robot), effort.blocks, effort.ticks)
+    result["core_tick_us"] = core_ticks(robot_parameters(args.robot), effort.blocks, effort.ticks)
     isolate_ros_domain(os.environ)
     with running_nodes([*robot, relay]) as nodes:
         result |= measure(nodes, effort)

@@ -35,7 +35,7 @@ from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.processes.robot_setup import resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 CROWDS, QUICK_CROWDS = 6, 1  #: number of crowds of each kind, and with `--quick`
@@ -185,7 +185,7 @@ def run(args: argparse.Namespace) -> int:
     crowds = args.worlds or (QUICK_CROWDS if args.quick else CROWDS)
     seconds = QUICK_SECONDS if args.quick else SECONDS
     jobs = args.jobs or os.cpu_count() or 1
-    robot = dict(load_robot(resolve_robot("ig42")))
+    robot = dict(robot_parameters(resolve_robot("ig42")))
     conditions = {"discs": DISCS, "seconds": seconds, "first_seed": args.seed, "jobs": jobs}
     say(f"{crowds} crowds of {DISCS} ...")
     tasks = [(robot, seed, seconds, DISCS) for seed in range(args.seed, args.seed + crowds)]

@@ -23,7 +23,7 @@ from omniman_ros.lab.bench.harness import (
     in_processes,
 )
 from omniman_ros.lab.measurement import spread_ms
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 if TYPE_CHECKING:  # the command line must do without casadi
     from omniman_ros.lab.bench.mpc_rig import Rig
@@ -131,7 +131,7 @@ def measure(robot: str, effort: MpcBenchmarkSize) -> dict[str, Any]:
     """Measure all cases and drives in this process."""
     from omniman_ros.lab.bench.mpc_rig import Rig
 
-    rig = cache(lambda case: Rig(load_robot(robot), *CASES[case]))
+    rig = cache(lambda case: Rig(robot_parameters(robot), *CASES[case]))
     result: dict[str, Any] = {"alone": {}, "beside": {}, "closed_loop": {}}
     for case in effort.cases:
         say(f"{case}, {effort.steps} steps ...")
@@ -147,7 +147,7 @@ def measure(robot: str, effort: MpcBenchmarkSize) -> dict[str, Any]:
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench mpc`; return 0, the exit code of a successful measurement."""
     effort = QUICK if args.quick else FULL if args.full else STANDARD
-    load_robot(args.robot)  # a wrong name raises an error here, not in a child process
+    robot_parameters(args.robot)  # a wrong name raises an error here, not in a child process
     try:
         (measured,) = in_processes(measure, [(args.robot, effort)], 1)
     except (RuntimeError, ImportError) as error:

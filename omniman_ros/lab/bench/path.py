@@ -26,7 +26,7 @@ from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.parameters import TICK, PathParameters
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 NODES = ("path_interpolator", "platform_controller", "simulated_drive")
 COUNTS = (2, 100, 10_000)  #: numbers of poses of the planned paths
@@ -101,7 +101,7 @@ def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench path`; return 0, the exit code of a successful measurement."""
-    parameters = build(PathParameters, load_robot(args.robot))
+    parameters = build(PathParameters, robot_parameters(args.robot))
     say("planning ...")
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
     result["planning"] = planning(parameters, 1 if args.quick else 9)

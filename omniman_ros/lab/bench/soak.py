@@ -29,7 +29,7 @@ from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 MINUTES, QUICK_MINUTES = 60.0, 3.0  #: duration without options, and with `--quick` [min]
 LEFT_OUT = ("viewer",)  # nodes that are not started
@@ -159,7 +159,7 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
     Returns:
         The figures.
     """
-    values = load_robot(robot_name)
+    values = robot_parameters(robot_name)
     half_size = (0.5 * values["body.length"], 0.5 * values["body.width"])
     limit = SPEED_TOLERANCE * (values["limits.linear_velocity"] + YAW_ARM_SPEED)
     log = NodeOutputLog()

@@ -34,7 +34,7 @@ from omniman_ros.lab.bench.scans import new_tracker, scan_of
 from omniman_ros.lab.bench.tracking_judge import TrackingJudge
 from omniman_ros.lab.measurement import spread_ms
 from omniman_ros.processes.robot_setup import resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
@@ -216,7 +216,7 @@ def run(args: argparse.Namespace) -> int:
     for extra in (WORLD, TRACKING):
         if not extra.is_available:
             raise CommandError(extra.hint)
-    robot = load_robot(resolve_robot(args.robot))
+    robot = robot_parameters(resolve_robot(args.robot))
     scenes, seconds = (2, 10.0) if args.quick else (SCENES, SECONDS)
     sudden = range(max(1, round(scenes * SUDDEN_SHARE)))
     groups = {

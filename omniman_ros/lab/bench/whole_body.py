@@ -43,7 +43,7 @@ from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.ur.kinematics import rotation_vector
 
 PATH_LENGTHS = {100: 4.0, 10_000: 12.0}  #: lengths in the plane, by number of poses [m]
@@ -185,7 +185,7 @@ def measure_inverse(model: ArmModel, tries: int, block_time: float) -> dict[str,
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench whole_body`; return 0, the exit code of a successful measurement."""
     robot = resolve_robot(args.robot)
-    parameters = build(PathInterpolatorParameters, load_robot(robot))
+    parameters = build(PathInterpolatorParameters, robot_parameters(robot))
     isolate_ros_domain(os.environ)
     model = WholeBodyModel(parameters.mount)
     plans, tries, block_time, seconds = (1, 10, 0.01, 2.0) if args.quick else (7, 300, 0.3, 12.0)

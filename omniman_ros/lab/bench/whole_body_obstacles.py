@@ -37,7 +37,7 @@ from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 from omniman_ros.planning.whole_body.task import BodySetup, WholeBodyTask
 from omniman_ros.processes.robot_setup import resolve_robot
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 
 COMPLETED_AIM = 0.97  #: aim: least fraction of completed scenes
@@ -111,7 +111,7 @@ class Bench:
     """Makes scenes, and runs them."""
 
     def __init__(self, robot: str) -> None:
-        values = load_robot(resolve_robot(robot))
+        values = robot_parameters(resolve_robot(robot))
         path = build(PathInterpolatorParameters, values)
         description = build(DescriptionParameters, values)
         limits = WholeBodyLimits.of_whole_body(path.core, path.arm)

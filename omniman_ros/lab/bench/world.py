@@ -33,7 +33,7 @@ from omniman_ros.lab.bench.harness import (
 from omniman_ros.lab.measurement import best_cpu, cpu_time
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 from omniman_ros.simulation.scene_files import load_scene
@@ -131,7 +131,7 @@ def run(args: argparse.Namespace) -> int:
     say("plant, ideal wheels, rollers and scans ...")
     name = resolve_robot(args.robot)
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "scene": SCENE}
-    result |= measure(load_robot(name), 0.5 if args.quick else 5.0)
+    result |= measure(robot_parameters(name), 0.5 if args.quick else 5.0)
     result["node"] = {}
     isolate_ros_domain(os.environ)
     for kind in (IDEAL, ROLLERS):

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.registry import EXPERIMENTS
 from omniman_ros.lab.reproduce.pipeline import Cell, Experiment, columns
 from omniman_ros.lab.studies.mpc_cases import SCENES
 from omniman_ros.lab.studies.planned_drives import PlannedDrive, drive_with_planner
 from omniman_ros.lab.verdicts import verdict
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 #: Parameters of the paper's horizon: n = 10 stages of 0.1 s, and no running cost, so that (31)
 #: counts at the end only. Limits and a clipped goal remain.
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         1 if a drive with default parameters missed its goal or had a contact, else 0.
     """
-    robot, scene = load_robot(args.robot), SCENES[args.name]()
+    robot, scene = robot_parameters(args.robot), SCENES[args.name]()
     experiment = Experiment(args, EXPERIMENTS[args.name].about)
     # The paper's horizon is too short for a map.
     selected = VARIANTS[: 1 if args.quick else 2 if args.name == "workshop" else 3]
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         for variant, planned in zip(selected, drives, strict=True)
     ]
     passed = all(row["reached"] and not row["collided"] for row in rows if row["counts"])
-    body = build(Robot, robot)
+    body = build(Platform, robot)
     picture = experiment.picture(lambda f, path: f.draw_case(body, scene, drives[0], path))
     noise = scene.noise
     result = {"case": args.name, "passed": passed, "observation_noise_m": noise, "drives": rows}

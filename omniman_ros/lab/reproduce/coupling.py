@@ -20,7 +20,7 @@ import numpy as np
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.reproduce.pipeline import Cell, Experiment, columns, in_parallel
 from omniman_ros.lab.studies.calibration import measure_roller_lag
 from omniman_ros.lab.studies.coupling import (
@@ -38,7 +38,7 @@ from omniman_ros.lab.studies.coupling import (
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 PAPER_GAIN = 2.0  #: k_epsilon in Fig. 7 of CCTA 2017 [1/s]
 AIM = 0.1  #: largest ratio of the coupling error to that without control, on the plant [-]
@@ -76,7 +76,7 @@ def printed_gain(robot: Mapping[str, Any]) -> float | None:
         The gain; None if the wheels are not those of (15) to (18), four of equal radius with
         T = (1, 1, -1, -1).
     """
-    wheels = build(Robot, robot).wheels
+    wheels = build(Platform, robot).wheels
     constraints = PlatformKinematics(wheels).T
     equal = len(set(wheels.radius)) == 1
     if constraints.shape != (1, 4) or not equal or not np.allclose(abs(constraints), 1.0):
@@ -95,7 +95,7 @@ def cases(
     else:
         paper = [gain for gain in (PAPER_GAIN, printed_gain(robot)) if gain is not None]
         controllers += [(OWN_CONTROLLER, own_gain), *((PAPER_CONTROLLER, gain) for gain in paper)]
-    wheels = build(Robot, robot).wheel_count
+    wheels = build(Platform, robot).wheel_count
     return [
         CouplingCase(group, sample, gain, draw_mismatch(group, seed, sample, wheels), controller)
         for group in (extent.in_world if in_world else extent.on_plant)
@@ -107,7 +107,7 @@ def cases(
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce coupling`; return 0, whether or not the aims are met."""
     extent = QUICK if args.quick else FULL if args.full else STANDARD
-    robot = load_robot(args.robot)
+    robot = robot_parameters(args.robot)
     own_gain = build(PlatformParameters, robot).coupling.k_epsilon
     setup = Setup(robot, extent.figure)
     selected = cases(extent, robot, own_gain, args.seed, in_world=bool(args.world))
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
     reached = remaining_ratio(rows, own_gain)
     result["paper_gain"], result["printed_gain"] = PAPER_GAIN, printed_gain(robot)
     result["aim"] = {"ratio": AIM, "reached": reached, "met": reached <= AIM}
-    body = build(Robot, robot)
+    body = build(Platform, robot)
     result["picture"] = experiment.picture(
         lambda f, path: f.draw_coupling(body, extent.figure, runs, result, path)
     )

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
 from omniman_ros.lab.studies.calibration import calibrate
 from omniman_ros.lab.studies.handover import (
@@ -31,7 +31,7 @@ from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import rms
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 POSITION_BOUND = 0.02  #: bound of the true distance from the station [m]
 HEADING_BOUND = math.radians(1.0)  #: bound of the true heading error [rad]
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         1 if the aim is missed in a drive that has one, else 0.
     """
-    robot, selected = load_robot(args.robot), cases(args.quick, args.seed)
+    robot, selected = robot_parameters(args.robot), cases(args.quick, args.seed)
     experiment = Experiment(
         args, f"Robots side by side at {SPEED:g} m/s, {SIDE_GAP:g} m apart: {len(selected)} drives"
     )
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     rows = [drive_row(each) for each in runs]
     passed = all(row["kept"] for row in rows if row["is_aim"])
     position, heading = 1e3 * POSITION_BOUND, math.degrees(HEADING_BOUND)
-    body = build(Robot, robot)
+    body = build(Platform, robot)
     result = {
         "speed_m_s": SPEED,
         "length_m": LENGTH,

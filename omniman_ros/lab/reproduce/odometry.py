@@ -17,7 +17,7 @@ from omniman_ros.lab.studies.odometry_drive import OdometryCase, drive_odometry
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 MODES = ("P", "PI", "torque")  #: groups of drives: how the drives hold a wheel's speed
 AIM = 0.02  #: aim: largest error of the position at the end [m]
@@ -27,7 +27,7 @@ SENSORS = {"wheels": "wheels alone", "imu": "wheels and imu"}
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce odometry`; return 0, whether or not the aims are met."""
-    robot = load_robot(args.robot)
+    robot = robot_parameters(args.robot)
     world = WorldChoice.of(robot, args.world) if args.world else None
     figure = Figure7(length=1.0) if args.quick else Figure7()
     experiment = Experiment(

@@ -39,7 +39,7 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
 from omniman_ros.lab.studies.scenes import (
@@ -54,7 +54,7 @@ from omniman_ros.lab.studies.worlds import obstacle_name, place_obstacles, scene
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 EPOCH = 1000.0  #: ROS time at which the simulation starts [s]; a stamp of 0 is the present time
@@ -356,7 +356,7 @@ class NodeLoop:
 
 def _closed_loop(random_scene: RandomScene, settings: SceneRunSettings) -> ClosedLoop:
     """Return a loop with the controller of the nominal robot and the drives of the true robot."""
-    values = {**load_robot(settings.robot), **settings.calibration}
+    values = {**robot_parameters(settings.robot), **settings.calibration}
     true_values, changes = true_robot(values, random_scene.mismatch)
     start, world = random_scene.start, None
     if settings.wheels:
@@ -366,7 +366,7 @@ def _closed_loop(random_scene: RandomScene, settings: SceneRunSettings) -> Close
         build(PlatformParameters, values),
         build(SimulationParameters, changes),
         world=world,
-        robot=build(Robot, true_values),
+        robot=build(Platform, true_values),
     )
     loop.set_pose(start)
     return loop
@@ -396,7 +396,7 @@ def _stamp(now: float) -> Any:
 
 def drive_scene(settings: SceneRunSettings, seed: int) -> SceneOutcome:
     """Drive through the random scene of a seed, and judge the drive by the ground truth."""
-    box = box_of(load_robot(settings.robot))
+    box = box_of(robot_parameters(settings.robot))
     random_scene = scene(seed, box)
     loop = NodeLoop(random_scene, settings)
     try:

@@ -19,7 +19,7 @@ from omniman_ros.lab.studies.scene_generator import SceneError
 from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, aims, groups, summary
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 COUNT, QUICK, FULL = 240, 8, 1000  #: numbers of scenes
 AIMS = {
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         f"{len(seeds)} random scenes, at most {TIME_LIMIT:g} s each, the planner's node with "
         "noisy odometry and noisy obstacle positions",
     )
-    robot = load_robot(args.robot)
+    robot = robot_parameters(args.robot)
     calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
     settings = SceneRunSettings(args.robot, args.seed, args.solve_time, args.world, calibration)
     if jobs > 1:

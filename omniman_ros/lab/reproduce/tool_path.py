@@ -34,7 +34,7 @@ from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.processes.arm_options import WORLD_SERVO_LAG
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         1 if a drive with correction exceeds a bound, else 0.
     """
-    robot, selected = load_robot(args.robot), cases(args.quick, args.seed)
+    robot, selected = robot_parameters(args.robot), cases(args.quick, args.seed)
     length = QUICK_LENGTH if args.quick else LENGTH
     speed = options(True).linear_velocity
     experiment = Experiment(

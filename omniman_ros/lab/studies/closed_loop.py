@@ -14,8 +14,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
+from omniman_ros.core.platform import Platform
 from omniman_ros.core.preview import Preview
-from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, SimulatedWheelStates
@@ -42,7 +42,7 @@ class ClosedLoop:
         simulation: SimulationParameters,
         torques: bool = True,
         world: WorldChoice | None = None,
-        robot: Robot | None = None,
+        robot: Platform | None = None,
     ) -> None:
         self.controller = PlatformController(parameters)
         robot = robot or parameters.robot

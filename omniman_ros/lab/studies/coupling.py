@@ -11,7 +11,7 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
@@ -76,7 +76,7 @@ class Setup:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robot", dict(self.robot))  # so that it can be pickled
-        if build(Robot, self.robot).wheel_count == 3:
+        if build(Platform, self.robot).wheel_count == 3:
             raise ParameterError("robot", "3 wheels", "three wheels have no motion constraint")
 
 

@@ -18,8 +18,8 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
+from omniman_ros.core.platform import Platform
 from omniman_ros.core.preview import Preview
-from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.closed_loop import (
     LATENCY,
     PERIOD,
@@ -163,7 +163,7 @@ def drive(robot: Mapping[str, Any], world: str | None, case: HandoverCase) -> Ha
     """Drive leader and follower of a case, each on its plant or in a world of its own."""
     wheels = HANDOVER_WHEELS[case.wheels]
     values = {**robot, **wheels.changes}
-    body = build(Robot, values).body
+    body = build(Platform, values).body
     offset: Triple = (0.0, -(body.width + SIDE_GAP), 0.0)
     distances = np.linspace(0.0, LENGTH, round(LENGTH / PATH_SPACING) + 1)
     path = COURSES[case.course](distances, LENGTH)[:, [0, 1, 3]]

@@ -15,7 +15,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.core.se2 import wrap
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
 from omniman_ros.lab.studies.coupling import GROUPS, NO_FOLLOWING_ERROR_STOP, draw_mismatch
@@ -48,7 +48,7 @@ def drive_odometry(
         **NO_FOLLOWING_ERROR_STOP,
         "coupling.roller_lag": case.roller_lag,
     }
-    wheels = build(Robot, values).wheel_count
+    wheels = build(Platform, values).wheel_count
     mismatch = draw_mismatch(case.group, case.seed, case.sample, wheels)
     loop = ClosedLoop.of_robot(values, world, mismatch)
     observer = _Observer(values, loop)

@@ -15,7 +15,7 @@ import numpy as np
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
 from omniman_ros.lab.studies.scene_geometry import RectangularOutline, SceneVerdict, judge
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -48,7 +48,7 @@ def true_robot(
 
 def box_of(robot: Mapping[str, Any]) -> RectangularOutline:
     """Return the robot's outline from its parameters, full names to values."""
-    body = build(Robot, robot).body
+    body = build(Platform, robot).body
     return RectangularOutline(body.length, body.width)
 
 

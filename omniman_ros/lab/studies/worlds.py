@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.scene_geometry import MovingObstacle, WallRectangle
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -48,7 +48,7 @@ class WorldChoice:
             build(DescriptionParameters, robot), parameters, scene or things.Scene()
         )
 
-    def body(self, robot: Robot, simulation: SimulationParameters) -> "World":
+    def body(self, robot: Platform, simulation: SimulationParameters) -> "World":
         """Return a new world in its initial state."""
         from omniman_ros.simulation.world.world import World
 

@@ -8,7 +8,7 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.planner import PathPlanner
 
@@ -81,7 +81,7 @@ class PathOptions(PlatformSpeeds):
 class PlatformMotionParameters:
     """Robot, limits and speeds of the platform in planned motions."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     limits: TwistLimits
     path: PlatformSpeeds
 

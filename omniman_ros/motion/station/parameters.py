@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.planar import Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class LeaderOptions:
 class StationParameters:
     """Robot, limits and options of station keeping."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     limits: TwistLimits
     station: StationOptions
     leader: LeaderOptions

@@ -15,7 +15,7 @@ import numpy as np
 from omniman_ros.control.dynamics import PlatformDynamics, smooth_sign
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 
 STATES = 6  #: Number of states
 #: Wheel speed over which Coulomb friction rises [rad/s]: makes MPC 2021 (24) differentiable
@@ -44,7 +44,7 @@ class PlanningModel:
     half: Array  #: (2,) half length and half width of the bounding box [m]
 
     @staticmethod
-    def of(robot: Robot) -> "PlanningModel":
+    def of(robot: Platform) -> "PlanningModel":
         """Return the model of a robot."""
         kinematics = PlatformKinematics(robot.wheels)
         dynamics = PlatformDynamics(robot, kinematics)

@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.recording.film.film_log import Solid
 from omniman_ros.viewer import meshes, style
@@ -71,7 +71,7 @@ class Triangles:
 class RobotBody:
     """The robot as triangles."""
 
-    def __init__(self, robot: Robot, mount: Mount | None) -> None:
+    def __init__(self, robot: Platform, mount: Mount | None) -> None:
         shape = meshes.body(robot)
         fixed = [
             Triangles.of_mesh(shape.chassis, style.CHASSIS),
@@ -151,7 +151,7 @@ def ribbon(points: Array, width: float, colour: Colour) -> Triangles:
     return Triangles(corners, np.tile(np.array(colour, float), (len(corners), 1)))
 
 
-def _marker(robot: Robot) -> Triangles:
+def _marker(robot: Platform) -> Triangles:
     shape = marker(robot.body)
     light = style.rgb("#8fb0f0")
     return Triangles.join(
@@ -162,7 +162,7 @@ def _marker(robot: Robot) -> Triangles:
     )
 
 
-def _wheel(robot: Robot, i: int) -> Callable[[float], Triangles]:
+def _wheel(robot: Platform, i: int) -> Callable[[float], Triangles]:
     wheels = robot.wheels
     radius = wheels.radius[i]
     shape = meshes.wheel(radius, wheels.roller_angle[i])

@@ -13,7 +13,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.recording.film.bodies import RobotBody, Triangles, ribbon, solid_body
 from omniman_ros.recording.film.camera import Camera, fitted_camera
@@ -57,7 +57,7 @@ class Film:
         self,
         log: FilmLog,
         shots: Sequence[Shot],
-        robot: Robot,
+        robot: Platform,
         mount: Mount | None,
         form: FilmFormat,
     ) -> None:

@@ -10,7 +10,7 @@ import can
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.can_drives.motor import DriveFaults
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters, drive_faults
 from omniman_ros.simulation.can_drives.shaft import MotorShaft
@@ -49,7 +49,7 @@ class DriveSetup:
 
     motor: MotorShaft  #: Motor of the drive
     node: int  #: Id of the drive
-    robot: Robot
+    robot: Platform
     simulation: SimulationParameters  #: Parameters of the plant and of the drives' loops
     can: CanParameters  #: The installation
     number: int  #: Number of the wheel
@@ -126,7 +126,7 @@ class SimulatedBus:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Platform,
         simulation: SimulationParameters,
         can: CanParameters,
         faults: CanFaultParameters | None = None,
@@ -219,7 +219,7 @@ class SimulatedBus:
             drive.faults = fault
 
     def configure(
-        self, robot: Robot, simulation: SimulationParameters, faults: CanFaultParameters
+        self, robot: Platform, simulation: SimulationParameters, faults: CanFaultParameters
     ) -> None:
         """Replace parameters of robot and plant, also in motion, and faults; keep the drives.
 

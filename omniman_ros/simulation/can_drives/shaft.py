@@ -3,7 +3,7 @@
 import math
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 
 
@@ -27,7 +27,7 @@ class MotorShaft:
         self,
         wheels: DrivenWheels,
         wheel: int,
-        robot: Robot,
+        robot: Platform,
         gear_ratio: float = 0.0,
         direction: float = 1.0,
     ) -> None:

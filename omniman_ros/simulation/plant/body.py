@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.gear_motor import GearMotor
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -39,5 +39,5 @@ class WheeledBody(Protocol):
     def step(self, voltages: Sequence[float]) -> None:
         """Integrate one substep with voltages (n,) requested from the amplifiers [V]."""
 
-    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+    def configure(self, robot: Platform, parameters: SimulationParameters) -> None:
         """Replace robot data and parameters, both or neither; a ParameterError refuses them."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Arm
+from omniman_ros.core.platform import Arm
 from omniman_ros.description.inertia import Inertia
 from omniman_ros.description.ur5 import ARM_MASS, BASE, links, tool_inertia
 from omniman_ros.motion.whole_body.model import Mount

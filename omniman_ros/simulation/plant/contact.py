@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot, Wheels
+from omniman_ros.core.platform import Platform, Wheels
 from omniman_ros.simulation.plant.parameters import MismatchParameters, per_wheel
 
 Vector3 = tuple[float, float, float]  #: Direction (x, y) and lever about the vertical axis [m]
@@ -123,7 +123,7 @@ def wheel_loads(
     raise ParameterError("body.com", com, "the centre of mass must be above the wheels")
 
 
-def centre_of_mass(robot: Robot) -> tuple[float, tuple[float, float], float]:
+def centre_of_mass(robot: Platform) -> tuple[float, tuple[float, float], float]:
     """Return mass [kg], centre of mass (x, y) in base_link [m], and inertia about it [kg m^2]."""
     parts = [(part.mass, part.com_x, part.com_y, part.inertia) for part in (robot.body, robot.arm)]
     mass = sum(part[0] for part in parts)

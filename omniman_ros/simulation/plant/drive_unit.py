@@ -3,7 +3,7 @@
 import enum
 from dataclasses import dataclass
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.parameters import FirmwareParameters
 
 BACK_EMF_TIME_CONSTANT = 0.01  #: Time constant of the velocity by the back-EMF [s]
@@ -44,7 +44,7 @@ class DriveSettings:
 
 
 def drive_settings(
-    robot: Robot, firmware: FirmwareParameters, step: float
+    robot: Platform, firmware: FirmwareParameters, step: float
 ) -> tuple[DriveSettings, ...]:
     """Return the settings of a robot's drive units, one per wheel."""
     motor, wheels = robot.motor, robot.wheels

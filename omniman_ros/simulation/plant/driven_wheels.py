@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.drive_unit import DriveUnit, drive_settings
 from omniman_ros.simulation.plant.encoder import Encoder
@@ -36,7 +36,7 @@ class DrivenWheels:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Platform,
         parameters: SimulationParameters,
         seed: int = 0,
         body: WheeledBody | None = None,
@@ -205,7 +205,7 @@ class DrivenWheels:
 
     # parameters
 
-    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+    def configure(self, robot: Platform, parameters: SimulationParameters) -> None:
         """Replace robot data and parameters together, also in motion."""
         firmware, faults, names = parameters.firmware, parameters.faults, robot.wheels.names
         frozen = flags("faults.frozen_encoder", faults.frozen_encoder, names)

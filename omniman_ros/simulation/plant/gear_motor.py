@@ -12,7 +12,7 @@ driven.
 
 from collections.abc import Sequence
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.parameters import SimulationParameters, flags, per_wheel
 
 
@@ -103,7 +103,7 @@ class GearMotor:
 
 
 def configure_motors(
-    motors: Sequence[GearMotor], robot: Robot, parameters: SimulationParameters
+    motors: Sequence[GearMotor], robot: Platform, parameters: SimulationParameters
 ) -> None:
     """Set the constants of a robot's gear motors; their state stays as it is.
 

@@ -1,6 +1,6 @@
 """Parameters of the simulated drives: plant, part-to-part mismatch, firmware and faults.
 
-Robot data (masses, motor, friction) is not here: it comes from `core.robot`. All of these are
+Robot data (masses, motor, friction) is not here: it comes from `core.platform`. All of these are
 live, unless marked read_only: :meth:`SimulatedDrives.set_parameters` takes a new set at any time.
 """
 

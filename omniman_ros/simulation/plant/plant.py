@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.contact import (
     centre_of_mass,
     mounted_wheels,
@@ -37,7 +37,7 @@ class Plant:
         ParameterError: The robot tips over, or an array has neither one value nor one per wheel.
     """
 
-    def __init__(self, robot: Robot, parameters: SimulationParameters) -> None:
+    def __init__(self, robot: Platform, parameters: SimulationParameters) -> None:
         self._heading = 0.0
         self._com = (0.0, 0.0)  # in the world
         self._velocity = (0.0, 0.0)  # of the centre of mass, in the world
@@ -52,7 +52,7 @@ class Plant:
         self.configure(robot, parameters)
         self._started = True
 
-    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+    def configure(self, robot: Platform, parameters: SimulationParameters) -> None:
         """Replace parameters or masses; pose, velocities and wheels stay as they are.
 
         A change of kinetic energy by this counts as external work.

@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
@@ -41,7 +41,7 @@ class SimulatedDrives:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Platform,
         parameters: SimulationParameters,
         seed: int = 0,
         body: WheeledBody | None = None,
@@ -202,7 +202,7 @@ class SimulatedDrives:
         """Replace the parameters, also in motion."""
         self.configure(self._robot, parameters)
 
-    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+    def configure(self, robot: Platform, parameters: SimulationParameters) -> None:
         """Replace robot data and parameters together."""
         self._wheels.configure(robot, parameters)
         self._robot, self._parameters = robot, parameters

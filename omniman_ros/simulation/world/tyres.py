@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.parameters import PlantParameters
 from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.wheels import body_name
@@ -49,7 +49,7 @@ class TyreContacts:
         """Load of each wheel in the latest step [N], (n,)."""
         return np.array(self._loads)
 
-    def configure(self, robot: Robot, plant: PlantParameters) -> None:
+    def configure(self, robot: Platform, plant: PlantParameters) -> None:
         """Set friction and drag of the wheels, and the slippery patch."""
         self._drag = tuple(robot.friction.roller)
         self._width = plant.roller_velocity

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
@@ -235,7 +235,7 @@ class World:
 
     # parameters
 
-    def configure(self, robot: Robot, simulation: SimulationParameters) -> None:
+    def configure(self, robot: Platform, simulation: SimulationParameters) -> None:
         """Replace robot data and parameters together, also in motion.
 
         A change of energy by this counts as external work.

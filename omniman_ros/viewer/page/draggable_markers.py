@@ -9,7 +9,7 @@ import viser
 from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Body, Robot
+from omniman_ros.core.platform import Body, Platform
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer import style
 from omniman_ros.viewer.events import (
@@ -45,7 +45,7 @@ class DraggableMarkers:
     """Start, goal and obstacles of the page, and the obstacles of other sources."""
 
     def __init__(
-        self, api: viser.SceneApi, root: str, robot: Robot, dragging: FloorDragging
+        self, api: viser.SceneApi, root: str, robot: Platform, dragging: FloorDragging
     ) -> None:
         self._updates = dragging.updates
         self._start = _PoseMarker(

@@ -10,7 +10,7 @@ from math import isfinite
 import viser
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.viewer.events import ClientDisconnected
 from omniman_ros.viewer.page.inputs import Post
@@ -68,7 +68,7 @@ class Page:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Platform,
         mount: Mount | None,
         constraints: int,
         limits: tuple[float, float],

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.viewer import meshes, style
 from omniman_ros.viewer.arm_shapes import ArmShape
@@ -21,7 +21,9 @@ COLUMN_RADIUS = 0.09  #: Radius of the column below an arm that is mounted above
 class RobotScene:
     """The robot and its ghost."""
 
-    def __init__(self, api: viser.SceneApi, root: str, robot: Robot, mount: Mount | None) -> None:
+    def __init__(
+        self, api: viser.SceneApi, root: str, robot: Platform, mount: Mount | None
+    ) -> None:
         shape = meshes.body(robot)
         name = f"{root}/robot"
         self._robot = FloorFrame(api, name)
@@ -58,7 +60,7 @@ class _Wheels:
     """All wheels of one shape; each part is one batch, at a tenth of the cost of single meshes."""
 
     def __init__(
-        self, api: viser.SceneApi, name: str, robot: Robot, members: Sequence[int]
+        self, api: viser.SceneApi, name: str, robot: Platform, members: Sequence[int]
     ) -> None:
         wheels = robot.wheels
         self._members = list(members)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import viser
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.viewer.page.draggable_markers import DraggableMarkers
 from omniman_ros.viewer.page.dragging import FloorDragging
@@ -32,7 +32,7 @@ class PageScene:
     def __init__(
         self,
         server: viser.ViserServer,
-        robot: Robot,
+        robot: Platform,
         mount: Mount | None,
         post: Post,
         clock: Callable[[], float] = time.monotonic,

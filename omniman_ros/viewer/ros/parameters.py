@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import REQUIRED, inline, parameter
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
@@ -39,7 +39,7 @@ class DrivingLimits:
 class ViewerParameters:
     """Parameters of the viewer: robot to draw, address of the page, frame rate and frames."""
 
-    robot: Robot = inline()
+    robot: Platform = inline()
     arm: ArmParameters
     mount: Mount
     limits: DrivingLimits

@@ -8,7 +8,7 @@ import yaml
 from omniman_ros.cli.main import main
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build, flatten_mapping
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.identification.floor.command import floor_drive, other_parameters
 from omniman_ros.identification.floor.excitation import (
     LIMIT_FRACTION,
@@ -21,7 +21,7 @@ from omniman_ros.identification.floor.regressor import FloorModel, SignWidths
 from omniman_ros.identification.floor.solution import find_directions, groups
 from omniman_ros.identification.floor.windows import Windows
 from omniman_ros.identification.robot_session import Recording, distance_along
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.contact import centre_of_mass
 from test import robots
 from test.identification.floor.prescribed import prescribed_drive
@@ -34,7 +34,7 @@ from test.running import (
 from test.tiers import exhaustive
 
 OMNIMAN = robots.parameters("omniman")
-TRUE = robots.robot("omniman", other_parameters(load_robot("omniman")))
+TRUE = robots.robot("omniman", other_parameters(robot_parameters("omniman")))
 SLOPE = (0.01, -0.005)
 
 
@@ -165,7 +165,7 @@ def test_a_record_is_fitted_again_and_its_result_written(tmp_path, drive, capsys
     assert written["ok"] and written["feed_forward"]["removed"] > 0.5
     tree = yaml.safe_load((tmp_path / "floor.yaml").read_text())
     values = flatten_mapping(tree["/**"]["ros__parameters"])
-    loaded = build(Robot, {**load_robot("omniman"), **values})
+    loaded = build(Platform, {**robot_parameters("omniman"), **values})
     assert centre_of_mass(loaded)[0] == pytest.approx(centre_of_mass(TRUE)[0], rel=0.01)
 
 

@@ -8,7 +8,7 @@ import yaml
 from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.parameters import build, flatten_mapping
-from omniman_ros.core.robot import Friction
+from omniman_ros.core.platform import Friction
 from omniman_ros.identification.friction.command import (
     confirm,
     mismatch_parameters,

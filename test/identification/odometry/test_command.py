@@ -51,7 +51,7 @@ from omniman_ros.identification.odometry.wheel_integration import (
     forward_matrix,
     integrate,
 )
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from test.robots import parameters, robot
 from test.running import (
     PATIENCE,
@@ -474,7 +474,7 @@ def test_the_simulated_robot_differs_in_every_way_that_is_calibrated():
         "mismatch.offset_y",
         "mismatch.heading",
     }
-    assert not names & set(load_robot("omniman"))
+    assert not names & set(robot_parameters("omniman"))
 
 
 @pytest.mark.processes

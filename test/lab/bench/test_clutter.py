@@ -12,7 +12,7 @@ from omniman_ros.lab.bench.clutter import (
     shortest_length,
 )
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 
 @pytest.mark.parametrize(
@@ -39,7 +39,7 @@ def test_the_shortest_path_leads_around_posts():
 
 
 def test_a_world_follows_its_seed():
-    robot = build(PlannerParameters, {**load_robot("ig42"), **JACKAL_SIZE}).robot
+    robot = build(PlannerParameters, {**robot_parameters("ig42"), **JACKAL_SIZE}).robot
     first, again, other = (clutter_world(seed, robot) for seed in (2, 2, 3))
     assert first == again != other
     assert 5.0 <= first[1] < 6.0
@@ -49,7 +49,7 @@ def test_a_world_follows_its_seed():
 @pytest.mark.parametrize("by_scanner", [False, True])
 def test_a_robot_gets_through(by_scanner):
     pytest.importorskip("mujoco")
-    robot = {**load_robot("ig42"), **JACKAL_SIZE}
+    robot = {**robot_parameters("ig42"), **JACKAL_SIZE}
     run = drive_clutter(robot, 2, by_scanner)
     assert run.reached
     assert not run.touched

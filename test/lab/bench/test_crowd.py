@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.lab.bench.crowd import HALF, RADIUS, DiscCrowd, disc_gaps, drive_in_crowd
 from omniman_ros.lab.studies.closed_loop import PERIOD
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 BOX = np.array([0.4, 0.25])
 
@@ -30,6 +30,6 @@ def test_discs_cross_their_square_again_and_again():
 
 @pytest.mark.exhaustive
 def test_a_robot_that_moves_touches_nobody():
-    run = drive_in_crowd(load_robot("ig42"), 0, 20.0, 8)
+    run = drive_in_crowd(robot_parameters("ig42"), 0, 20.0, 8)
     assert run.contacts == 0
     assert run.goals > 0

@@ -30,7 +30,7 @@ from omniman_ros.lab.studies.tool_courses import tool_poses
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from test.running import wait_until
 
 
@@ -244,7 +244,7 @@ def test_the_bare_loop_tells_its_intervals_and_its_class():
     assert kind == "SCHED_OTHER"
 
 
-PATHS = build(PathInterpolatorParameters, load_robot("omniman"))
+PATHS = build(PathInterpolatorParameters, robot_parameters("omniman"))
 
 
 def test_a_plan_is_timed_beside_resampling_at_constant_speed():
@@ -279,7 +279,7 @@ def test_planning_is_compared_with_plain_resampling_at_constant_speed(monkeypatc
     # Chords at the corners are slightly shorter than the path.
     assert np.hypot(*steps.T[:2]) == pytest.approx(0.004, rel=0.01)
     monkeypatch.setattr(path, "COUNTS", (2, 20))
-    figures = path.planning(build(PathParameters, load_robot("omniman")), 1)
+    figures = path.planning(build(PathParameters, robot_parameters("omniman")), 1)
     assert set(figures) == {"2", "20"}
     for row in figures.values():
         assert row["planning_ms"] > row["plain_resampling_ms"] > 0.0

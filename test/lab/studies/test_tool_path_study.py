@@ -24,7 +24,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 MODEL = WholeBodyModel(Mount())
 LENGTH = 0.4
@@ -52,7 +52,7 @@ class Arm:
 
 @cache
 def planned(course):
-    robot = load_robot("omniman")
+    robot = robot_parameters("omniman")
     limits = WholeBodyLimits.of_whole_body(build(PathParameters, robot), ArmParameters())
     return ToolPlanner(MODEL, limits, ON).plan(tool_poses(MODEL, course, LENGTH), start())
 
@@ -60,7 +60,7 @@ def planned(course):
 def drive(case, arm=None):
     motion = planned(case.course)
     arm = arm or Arm(motion.curve.positions[0, 3:])
-    platform = case.platform(load_robot("omniman"))
+    platform = case.platform(robot_parameters("omniman"))
     return ToolPathLoop(platform, case, motion, MODEL, arm).run()
 
 

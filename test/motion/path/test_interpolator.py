@@ -6,7 +6,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
 from omniman_ros.motion.path.interpolator import LEAD, PathInterpolator, PathState, RefusedError
 from omniman_ros.motion.path.parameters import PathParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 from test.motion.path.support import DT, ROUND_OFF, off_path
 
 ORIGIN = (0.0, 0.0, 0.0)
@@ -16,7 +16,7 @@ LINE = np.array([[0, 0, 0], [2, 0, 0]], dtype=float)
 
 def parameters(**changes) -> PathParameters:
     given = {f"path.{name}": value for name, value in changes.items()}
-    return build(PathParameters, load_robot("omniman") | given)
+    return build(PathParameters, robot_parameters("omniman") | given)
 
 
 class Driver:
@@ -232,7 +232,7 @@ def test_requests_within_the_lead_of_a_new_path_apply_to_the_new_path(driver):
 def test_new_limits_apply_from_the_next_path_that_begins_at_rest(driver):
     driver.start(LINE)
     driver.run(1.0)
-    slow = build(PathParameters, load_robot("omniman") | {"limits.linear_velocity": 0.1})
+    slow = build(PathParameters, robot_parameters("omniman") | {"limits.linear_velocity": 0.1})
     driver.core.parameters = slow
     driver.start(LINE + [0, 0.3, 0])
     assert driver.run_to_the_end()[:, 3].max() > 0.4

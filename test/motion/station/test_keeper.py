@@ -13,7 +13,7 @@ from omniman_ros.motion.path.pace import LEAD
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.motion.station.parameters import StationParameters
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 PERIOD = 0.04
 HORIZON = 0.4
@@ -29,7 +29,7 @@ class Rig:
     """
 
     def __init__(self, leader=(0.0, 0.0, 0.0), robot=(-2.0, -2.0, 0.0), noise=0.0, **changes):
-        self.parameters = build(StationParameters, {**load_robot("omniman"), **changes})
+        self.parameters = build(StationParameters, {**robot_parameters("omniman"), **changes})
         self.keeper = StationKeeper(self.parameters)
         self.time, self.leader, self.robot = 0.0, leader, robot
         self.noise, self.random = noise, np.random.default_rng(1)

@@ -6,7 +6,7 @@ import pytest
 
 from omniman_ros.control.dynamics import GRAVITY, PlatformDynamics
 from omniman_ros.control.kinematics import PlatformKinematics
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.planning.mpc.model import PlanningModel
 from test import robots
 from test.planning.support import model
@@ -25,7 +25,7 @@ def rate(planning: PlanningModel, twist, currents):
     return np.asarray(rate_of(planning)(twist, currents)).ravel()
 
 
-def dynamics(robot: Robot) -> PlatformDynamics:
+def dynamics(robot: Platform) -> PlatformDynamics:
     return PlatformDynamics(robot, PlatformKinematics(robot.wheels))
 
 

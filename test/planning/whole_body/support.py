@@ -12,11 +12,11 @@ from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorP
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.task import BodySetup
-from omniman_ros.robots import load_robot
+from omniman_ros.robots import robot_parameters
 
 #: All axes at the start: the arm reaches to the left and forward
 START = np.array([0.0, 0.0, 0.0, 0.3, -1.2, 1.9, -2.2, -1.57, 0.0])
-ROBOT = load_robot("omniman")
+ROBOT = robot_parameters("omniman")
 
 
 def setup(**changes):

@@ -3,12 +3,12 @@
 from typing import Any
 
 from omniman_ros.core.parameters import build
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 
 
-def robot(name: str = "ig42", **changes: Any) -> Robot:
+def robot(name: str = "ig42", **changes: Any) -> Platform:
     """Return a shared robot with changes by name, `__` standing for the dot."""
     return robots.robot(name, _dotted(changes))
 

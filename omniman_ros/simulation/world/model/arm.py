@@ -3,7 +3,7 @@
 from xml.etree.ElementTree import Element
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.description.inertia import Inertia
 from omniman_ros.description.ur5 import (
     ARM_MASS,
@@ -25,7 +25,7 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 
 
-def tool_of(robot: Robot) -> Inertia:
+def tool_of(robot: Platform) -> Inertia:
     """Return mass and centre of the arm's tool: what the robot's arm has beyond its links."""
     x, y, z = robot.arm.tool_centre
     return tool_inertia(max(robot.arm.mass - ARM_MASS, 0.0), (x, y, z))

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.plant.parameters import PlantParameters
 from omniman_ros.simulation.world.model.mjcf import (
     LOOSE,
@@ -63,7 +63,7 @@ class Tyres:
         }
 
 
-def tyres_of(robot: Robot, mass: float, plant: PlantParameters, stiffness: float) -> Tyres:
+def tyres_of(robot: Platform, mass: float, plant: PlantParameters, stiffness: float) -> Tyres:
     """Return the contact of a robot's tyres; its mass [kg] includes arm and loads.
 
     Args:

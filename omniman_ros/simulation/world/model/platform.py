@@ -2,8 +2,8 @@
 
 from xml.etree.ElementTree import Element
 
+from omniman_ros.core.platform import Platform
 from omniman_ros.core.polygon import trapezoids
-from omniman_ros.core.robot import Robot
 from omniman_ros.description.inertia import rest_of_body, wheel, wheel_masses
 from omniman_ros.description.platform_shape import WHEEL_WIDTH, platform_boxes
 from omniman_ros.simulation.plant.contact import mounted_wheels
@@ -17,7 +17,7 @@ from omniman_ros.simulation.world.solids import prism_corners
 BASE = "base_link"  #: Name of the platform's body, and of its joint to the world
 
 
-def deck_height(robot: Robot, mount: float | None) -> float:
+def deck_height(robot: Platform, mount: float | None) -> float:
     """Return the height of the deck's upper side above the floor [m], by the arm's mount [m]."""
     deck = platform_boxes(robot, mount)[0]
     return deck.centre[2] + 0.5 * deck.size[2]
@@ -26,7 +26,7 @@ def deck_height(robot: Robot, mount: float | None) -> float:
 def add_platform(
     assets: Element,
     world: Element,
-    robot: Robot,
+    robot: Platform,
     mismatch: MismatchParameters,
     mount: float | None,
     tyres: Tyres,

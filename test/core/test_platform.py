@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import flatten
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.platform import Platform
 from test.robots import ALL, random_robot, robot
 
 COUNTS = {"omniman": 4, "ig42": 4, "omni3": 3, "mecanum6": 6, "skewed4": 4, "mecanum8": 8}
@@ -42,7 +42,7 @@ def test_robot_is_immutable():
 
 def test_broadcasting_twice_changes_nothing():
     made = robot("skewed4")
-    again = Robot(made.wheels, made.body, made.arm, made.motor, made.friction)
+    again = Platform(made.wheels, made.body, made.arm, made.motor, made.friction)
     assert again == made
 
 

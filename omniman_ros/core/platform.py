@@ -264,7 +264,7 @@ class Friction:
 
 
 @dataclass(frozen=True)
-class Robot:
+class Platform:
     """Configuration of a whole platform; arrays with one value are broadcast to the n wheels.
 
     Raises:
