@@ -211,6 +211,20 @@ class Planner:
 
     # ---- a cycle ----------------------------------------------------------------------------
 
+    def cycle(self, now: float, measured: MeasuredState, obstacles: Ellipses) -> HermiteTrajectory:
+        """Run one planning cycle at a time [s], and return the motion to follow until the next.
+
+        It ends at rest and was checked up to its end. Where planning takes time on the clock that
+        `now` is of, call :meth:`propose`, :meth:`take` and :meth:`update_route` instead, each
+        with its own time.
+        """
+        if self.active:
+            self.take(self.propose(now, measured, obstacles), now, measured, obstacles)
+            self.update_route(now, obstacles)
+        else:
+            self.coast(now, measured, obstacles)
+        return self.motion
+
     def propose(self, now: float, measured: MeasuredState, obstacles: Ellipses) -> PlanProposal:
         """Plan from the predicted state of the robot when the plan is due.
 

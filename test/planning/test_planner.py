@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
@@ -838,3 +839,26 @@ def test_a_goal_that_is_refused_names_what_stands_there():
         sim.drive(pose(1.5, 0.0, 0.0))
     with pytest.raises(InputError, match=r"stands .* the map at \(-?0\.\d+, "):
         sim.drive(pose(0.0, 0.0, 0.0))
+
+
+# ---- one call a cycle -----------------------------------------------------------------------
+
+
+def test_a_cycle_in_one_call_drives_to_the_goal_past_an_obstacle():
+    """The state is where the robot was told to be, and time passes only between the calls."""
+    it, now = planner(), 5.0
+    measured = MeasuredState(now, np.zeros(3), np.zeros(3))
+    post = ellipses((1.0, 0.05, 0.2), time=now)
+    assert it.cycle(now, measured, post).end <= now + CYCLE  # rests without a goal
+    it.drive(pose(2.0, 0.0, 0.0), measured, post)
+    nearest = math.inf
+    while it.state is not PlannerState.ARRIVED and now < 25.0:
+        motion = it.cycle(now, measured, post)
+        assert np.abs(motion.sample(motion.end)[1]).max() < 1e-9  # ends at rest
+        now += CYCLE
+        there, velocity = motion.sample(now)
+        measured = MeasuredState(now, there, se2.to_robot(float(there[2]), velocity))
+        nearest = min(nearest, true_gaps(np.array([now]), there[None], it.model.half, post).min())
+    assert it.state is PlannerState.ARRIVED
+    np.testing.assert_allclose(measured.pose, [2.0, 0.0, 0.0], atol=0.02)
+    assert nearest >= it.parameters.safety.least_clearance

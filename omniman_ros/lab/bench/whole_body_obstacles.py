@@ -33,9 +33,9 @@ from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
-from omniman_ros.planning.whole_body.task import BodySetup, WholeBodyTask
+from omniman_ros.planning.whole_body.task import WholeBodyTask
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism

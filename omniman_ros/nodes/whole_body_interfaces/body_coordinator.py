@@ -35,11 +35,12 @@ from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
+from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
-    from omniman_ros.planning.whole_body.task import BodySetup, BodyTask
+    from omniman_ros.planning.whole_body.task import BodyTask
 
 PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
 #: Time without progress after which the robot counts as waiting, and another way is searched for;
@@ -93,9 +94,7 @@ class AvoidanceInterface(BodyInterface):
         setup, now = self._setup(), self._context.time_base.now()
         return lambda: ToolHold(setup, start, now)
 
-    def _setup(self) -> "BodySetup":
-        from omniman_ros.planning.whole_body.task import BodySetup
-
+    def _setup(self) -> BodySetup:
         p = self._context.options
         load = p.load if p.load.is_carried else None
         return BodySetup(p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge)

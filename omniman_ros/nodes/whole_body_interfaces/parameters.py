@@ -1,13 +1,12 @@
 """Parameters of the node `whole_body_planner`."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
 from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, led_tool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,11 +26,4 @@ class WholeBodyPlannerParameters(StreamParameters):
     @property
     def led_tool(self) -> ToolPathOptions:
         """Options of paths whose one parameter keeps both the linear and the angular limits."""
-        o = self.tool_path
-        return replace(
-            o,
-            linear_velocity=min(o.linear_velocity, ROTATION_LENGTH * o.angular_velocity),
-            linear_acceleration=min(
-                o.linear_acceleration, ROTATION_LENGTH * o.angular_acceleration
-            ),
-        )
+        return led_tool(self.tool_path)

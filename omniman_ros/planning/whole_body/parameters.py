@@ -1,9 +1,14 @@
 """Parameters of the motion of the whole body around obstacles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 
 
 @dataclass(frozen=True)
@@ -73,3 +78,23 @@ class AvoidanceOptions:
             raise ParameterError(
                 "least_clearance", self.least_clearance, "must not be above clearance"
             )
+
+
+@dataclass(frozen=True)
+class BodySetup:
+    """What a task needs to know of the robot."""
+
+    description: DescriptionParameters  #: Shapes of platform and arm, and where the arm is mounted
+    limits: WholeBodyLimits  #: Limits of the nine axes and of the wheels
+    tool: ToolShape
+    load: LoadShape | None  #: Shape of the load, if any
+    path: ToolPathOptions  #: Options of tool paths
+    dodge: AvoidanceOptions  #: Options of the way around obstacles
+
+
+def led_tool(options: ToolPathOptions) -> ToolPathOptions:
+    """Return options of a path whose one parameter keeps the linear and the angular limits."""
+    o = options
+    speed = min(o.linear_velocity, ROTATION_LENGTH * o.angular_velocity)
+    acceleration = min(o.linear_acceleration, ROTATION_LENGTH * o.angular_acceleration)
+    return replace(o, linear_velocity=speed, linear_acceleration=acceleration)

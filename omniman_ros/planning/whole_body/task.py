@@ -1,18 +1,12 @@
 """Tasks of the whole body: the tool along a path, or held, past what is around the robot."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.whole_body.held_tool import HeldTool
-from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
@@ -20,23 +14,11 @@ from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.controller import CycleOutcome, WholeBodyController
 from omniman_ros.planning.whole_body.linearisation import Linearisation
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
+from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.plan_check import PlanCheck
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
 from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
-
-
-@dataclass(frozen=True)
-class BodySetup:
-    """What a task needs to know of the robot."""
-
-    description: DescriptionParameters  #: Shapes of platform and arm, and where the arm is mounted
-    limits: WholeBodyLimits  #: Limits of the nine axes and of the wheels
-    tool: ToolShape
-    load: LoadShape | None  #: Shape of the load, if any
-    path: ToolPathOptions  #: Options of tool paths
-    dodge: AvoidanceOptions  #: Options of the way around obstacles
 
 
 class BodyTask:

@@ -10,8 +10,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
-from omniman_ros.planning.whole_body.task import BodySetup
+from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup
 from omniman_ros.robots import robot_parameters
 
 #: All axes at the start: the arm reaches to the left and forward
