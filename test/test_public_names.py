@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,15 @@ def test_type_checkers_and_the_interpreter_see_the_same_names():
 def test_help_names_every_public_name():
     assert [name for name in om.__all__ if f"`{name}`" not in om.__doc__] == []
     assert 40 <= len(om.__all__) <= 64
+
+
+def test_every_public_name_is_on_a_page_of_the_documentation():
+    folder = Path(om.__file__).parents[1] / "docs" / "python"
+    text = "\n".join(page.read_text(encoding="utf-8") for page in folder.glob("*.md"))
+    shown = set(re.findall(r"^\.\. auto\w+:: omniman_ros\.(\w+)$", text, re.MULTILINE))
+    errors = {name for name in om.__all__ if name.endswith("Error")}
+    assert shown == set(om.__all__) - errors
+    assert [name for name in errors if f"`om.{name}`" not in text] == []
 
 
 def test_every_public_name_says_what_it_is():

@@ -244,6 +244,8 @@ def _api_page(name: str, modules: list[str], below: list[str]) -> Iterator[str]:
         yield from (f"   {package}" for package in below)
         yield ""
     for module in modules:
+        if module == PACKAGE:  # its names have pages of their own, in python/
+            continue
         if module != name:
             yield from (module, "-" * len(module), "")
         yield from (f".. automodule:: {module}", "")
