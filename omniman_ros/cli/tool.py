@@ -16,10 +16,20 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
 from omniman_ros.conversions.geometry import yaw_from_quaternion
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
+from omniman_ros.nodes.motion_log import MotionEvent
 
 ANSWER_TIMEOUT = 2.0  #: Time within which the node must answer a service [s]
 #: Names of the nodes that may move the tool; one of them takes its paths
+#: Events of a path of the tool that moves or has moved the robot
+_AFTER_START = tuple(
+    event.value
+    for event in (
+        MotionEvent.STARTED,
+        MotionEvent.GIVEN_UP,
+        MotionEvent.CANCELLED,
+        MotionEvent.ARRIVED,
+    )
+)
 NODES = ("path_interpolator", "whole_body_planner")
 Position = tuple[float, float, float]  #: Position (x, y, z) of the tool [m]
 
@@ -107,7 +117,7 @@ class ToolPathClient:
                 continue
             last, state = self._status.get("tool_path_last", ""), self._status.get("body", "")
             event = self._status.get("tool_path_event", "")
-            moved = moved or state != "idle" or event == MotionEvent.STARTED.value
+            moved = moved or state != "idle" or event in _AFTER_START
             if event == MotionEvent.REFUSED.value:
                 raise CommandError(last)
             if moved and state == "idle":

@@ -4,12 +4,14 @@ import functools
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.extras import PLANNING
 from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.motion_log import MotionEvent
 from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -59,7 +61,7 @@ class MpcPlannerNode(OmnimanNode):
         )
         self.settings.on_change(self._configure)
         self._status_publisher = self.create_publisher(DiagnosticStatus, "mpc/status", 10)
-        goals = GoalInterface(self, self.settings, self.frames, self.loop.submit)
+        goals = GoalInterface(self, self.settings, self.frames, self.loop)
         executor = GoalExecutor(
             self, goals, self.loop, self.sensors, self.core, p.frames.odom.odom_frame
         )
@@ -121,9 +123,9 @@ class MpcPlannerNode(OmnimanNode):
         why = core.blocked_by or report.reason
         values: list[tuple[str, object]] = [
             ("state", core.state.value),
-            ("outcome", loop.goals.outcome.value),
-            ("goals", loop.goals.accepted),
-            ("refused", loop.goals.refused),
+            ("outcome", loop.goals.event.value),
+            ("goals", loop.goals.counts[MotionEvent.STARTED]),
+            ("refused", loop.goals.counts[MotionEvent.REFUSED]),
             ("distance_m", round(distance, 3)),
             ("angle_rad", round(angle, 3)),
             ("solve_ms", round(1e3 * loop.solve_time, 2)),
@@ -152,7 +154,13 @@ class MpcPlannerNode(OmnimanNode):
     @property
     def finished(self) -> bool:
         """Whether there is no goal, the motion is over, and all clients have their results."""
-        return not self.loop.is_moving and all(action.idle for action in self.actions)
+        is_driving = self.loop.is_moving or self.loop.goals.driven
+        return not is_driving and all(action.idle for action in self.actions)
+
+    @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publisher of what becomes of the goals."""
+        return (self.loop.events.publisher,)
 
     @property
     def stop_timeout(self) -> float:

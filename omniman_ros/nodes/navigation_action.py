@@ -15,6 +15,7 @@ from rclpy.action.server import ServerGoalHandle
 from omniman_ros.conversions.headers import duration_message
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.deferred_action import DeferredActionServer
+from omniman_ros.nodes.motion_log import LoggedMotion
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 FEEDBACK_PERIOD = 0.1  #: Time between two messages of feedback [s]
@@ -43,15 +44,15 @@ class NavigationKind(Enum):
 
 
 class NavigationExecutor(Protocol):
-    """What drives the platform to a goal; its motions are identified by numbers."""
+    """What drives the platform to a goal."""
 
-    def send(self, request: Any) -> int:
-        """Accept a goal and return the number of its motion; raise InputError if it is refused."""
+    def send(self, request: Any) -> LoggedMotion:
+        """Accept a goal and return its motion; raise InputError if it is refused."""
 
-    def outcome(self, motion: int) -> str | None:
+    def outcome(self, motion: LoggedMotion) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
 
-    def cancel(self, motion: int) -> None:
+    def cancel(self, motion: LoggedMotion) -> None:
         """Bring a motion to rest, unless it has ended already."""
 
     def fill_feedback(self, feedback: Any) -> bool:
@@ -63,7 +64,7 @@ class _Goal:
     """A goal under way."""
 
     handle: ServerGoalHandle
-    motion: int  #: Number of its motion
+    motion: LoggedMotion
     since: float  #: Time of its acceptance [s]
 
 

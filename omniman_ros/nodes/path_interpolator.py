@@ -1,6 +1,7 @@
 """Node `path_interpolator`: paths and trajectories in, streams for platform and arm out."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
 
 from omniman_ros.nodes.navigation_action import (
     NavigationAction,
@@ -53,6 +54,11 @@ class PathInterpolatorNode(OmnimanNode):
         return self.motions.context.time_base.idle and all(action.idle for action in self.actions)
 
     @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publisher of what becomes of the motions."""
+        return (self.motions.context.events.publisher,)
+
+    @property
     def stop_timeout(self) -> float:
         """How long the motions may take to come to rest from now on [s], with a margin of 1 s."""
         remaining = self.motions.context.time_base.remaining()
@@ -71,26 +77,26 @@ class PathInterpolatorNode(OmnimanNode):
             values += [
                 (name, interface.core.state.value),
                 (f"{name}_progress", round(interface.core.progress(now), 4)),
-                (f"{name}_event", interface.status.event.value),
-                (f"{name}_last", interface.status.text),
+                (f"{name}_event", interface.log.event.value),
+                (f"{name}_last", interface.log.text),
             ]
         if motions.tool is not None:
             values += [
-                ("tool_path_event", motions.tool.status.event.value),
-                ("tool_path_last", motions.tool.status.text),
+                ("tool_path_event", motions.tool.log.event.value),
+                ("tool_path_last", motions.tool.log.text),
             ]
         values += [
             ("speed_scaling", round(motions.scaling.value, 4)),
-            ("event", path.status.event.value),
-            ("last", path.status.text),
+            ("event", path.log.event.value),
+            ("last", path.log.text),
         ]
-        idle_by_status = {
-            interface.status: interface.idle
+        idle_by_log = {
+            interface.log: interface.idle
             for interface in (path, motions.arm, motions.whole_body, motions.tool)
             if interface is not None
         }
-        latest = max(idle_by_status, key=lambda status: status.order)
-        if latest.event.is_trouble and idle_by_status[latest]:
+        latest = max(idle_by_log, key=lambda log: log.order)
+        if latest.is_trouble and idle_by_log[latest]:
             return DiagnosticStatus.WARN, latest.text, values
         return DiagnosticStatus.OK, time_base.state.value, values
 

@@ -1,6 +1,7 @@
 """Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
 
 from omniman_ros.extras import PLANNING
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -27,7 +28,7 @@ class WholeBodyPlannerNode(OmnimanNode):
         self.settings.on_change(self.motions.configure)
         time_base = self.motions.context.time_base
         services = MotionServices(self, time_base, self.motions.cancel, self.motions.send)
-        services.add("hold", self.motions.hold, lambda: self.motions.tool.status.text)
+        services.add("hold", self.motions.hold, lambda: self.motions.tool.log.text)
         self._status_publisher = self.create_publisher(DiagnosticStatus, "body/status", 10)
         self.every(PERIOD, self._tick)
 
@@ -44,6 +45,11 @@ class WholeBodyPlannerNode(OmnimanNode):
     def finished(self) -> bool:
         """Whether no motion is under way."""
         return self.motions.context.time_base.idle
+
+    @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publisher of what becomes of the motions."""
+        return (self.motions.context.events.publisher,)
 
     @property
     def stop_timeout(self) -> float:
@@ -63,15 +69,15 @@ class WholeBodyPlannerNode(OmnimanNode):
             ("cycle_ms", round(1e3 * body.cycle_time, 2)),
             ("obstacles", len(motions.surroundings)),
             ("speed_scaling", round(motions.scaling.value, 4)),
-            ("body_event", body.status.event.value),
-            ("body_last", body.status.text),
-            ("tool_path_event", tool.status.event.value),
-            ("tool_path_last", tool.status.text),
+            ("body_event", body.log.event.value),
+            ("body_last", body.log.text),
+            ("tool_path_event", tool.log.event.value),
+            ("tool_path_last", tool.log.text),
         ]
         if waits:
             return DiagnosticStatus.WARN, f"waits: {waits}", values
-        latest = max((body.status, tool.status), key=lambda status: status.order)
-        if latest.event.is_trouble and body.idle:
+        latest = max((body.log, tool.log), key=lambda log: log.order)
+        if latest.is_trouble and body.idle:
             return DiagnosticStatus.WARN, latest.text, values
         return DiagnosticStatus.OK, time_base.state.value, values
 

@@ -21,21 +21,6 @@ class PlannerState(Enum):
     ARRIVED = "arrived"
 
 
-class GoalOutcome(Enum):
-    """Outcome of the latest goal; its values are those of the key `outcome` of `mpc/status`.
-
-    WAITING: the goal was received and waits until the robot can be driven.
-    """
-
-    NONE = "none"
-    WAITING = "waiting"
-    ACCEPTED = "accepted"
-    REFUSED = "refused"
-    GIVEN_UP = "given_up"
-    CANCELLED = "cancelled"
-    ARRIVED = "arrived"
-
-
 @dataclass(frozen=True)
 class MeasuredState:
     """State of the robot according to odometry.

@@ -582,7 +582,7 @@ def test_invalid_odometry_is_ignored(odd, why):
         world.send(*FAR)
         world.run(0.3)
         assert world.state is PlannerState.IDLE and not world.references
-        assert re.search(f"a goal waits: {why}", world.last_status()[2]["last"])
+        assert re.search(f"a goal is waiting: {why}", world.last_status()[2]["last"])
         if "age" in odd:
             world.run(WAIT_TIMEOUT)
             [refusal] = [w for w in world.warnings if w.startswith("goal not used")]
@@ -668,7 +668,7 @@ def test_cmd_vel_takes_over_and_a_later_goal_waits_for_its_silence(robot):
     robot.send(x, y + 0.2, theta)
     if not robot.core.active:
         robot.run(CYCLE)
-        assert robot.last_status()[2]["last"] == "a goal waits: control was lost a moment ago"
+        assert robot.last_status()[2]["last"] == "a goal is waiting: control was lost a moment ago"
     robot.begin()
     assert robot.time - lost > 1.0
     robot.arrive()
@@ -899,7 +899,10 @@ def test_goal_waits_for_a_required_source():
     with PlannerWithFakeController({"obstacles.required": True}) as world:
         world.send(0.3, 0.0, 0.0)
         world.run(1.0)
-        assert world.last_status()[2]["last"] == "a goal waits: no obstacles yet: nobody sends it"
+        assert (
+            world.last_status()[2]["last"]
+            == "a goal is waiting: no obstacles yet: nobody sends it"
+        )
         assert not world.references
         world.seen = True
         world.arrive()
@@ -1020,7 +1023,7 @@ def test_backward_time_jump_ends_the_goal_and_a_new_goal_is_driven(alone):
     alone.send(0.5, 0.3, 0.0)
     alone.run(0.3)
     assert alone.state is PlannerState.IDLE, "odom of another time is no odom"
-    assert alone.last_status()[2]["last"] == "a goal waits: no odom"
+    assert alone.last_status()[2]["last"] == "a goal is waiting: no odom"
     alone.odometry = alone.odom_message
     alone.begin(2.0)
     alone.arrive()

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 
-from omniman_ros.planning.cycle import GoalOutcome, PlannerState
+from omniman_ros.nodes.motion_log import MotionEvent
+from omniman_ros.planning.cycle import PlannerState
 from test import ros_interfaces
 from test.nodes.navigation_client import NavigationClient
 from test.nodes.test_mpc_planner import FAR, PlannerWithFakeController, goal
@@ -84,7 +85,7 @@ def test_a_goal_that_waits_can_be_cancelled(world):
     world.odometry = None
     world.run(1.0)
     handle, future = world.client.send(pose=goal(*FAR))
-    assert world.node.loop.goals.outcome is GoalOutcome.WAITING
+    assert world.node.loop.goals.event is MotionEvent.WAITING
     assert world.client.cancel(handle)
     assert world.client.result(future, 1.0) == (CANCELED, 0, "cancelled")
 

@@ -451,8 +451,8 @@ def test_invalid_joint_states_do_not_count_as_fresh(world):
     world.run(0.2)
     assert not world.joint_previews
     assert (
-        "arm/joint_states" in world.node.motions.arm.status.text
-        and " old" in world.node.motions.arm.status.text
+        "arm/joint_states" in world.node.motions.arm.log.text
+        and " old" in world.node.motions.arm.log.text
     )
 
 

@@ -180,7 +180,7 @@ def test_a_tool_that_becomes_unreachable_is_reported(world, monkeypatch):
     world.run(0.2)
     assert (
         world.node.motions.whole_body.idle
-        and "given up: out of the arm's reach" in world.node.motions.whole_body.status.text
+        and "given up: out of the arm's reach" in world.node.motions.whole_body.log.text
     )
     assert world.status().level == DiagnosticStatus.WARN
 

@@ -275,10 +275,10 @@ def test_invalid_joint_states_do_not_end_a_waiting_motion(world):
     world.run(0.6)
     world.follows_stream = True
     world.send_body([GOAL])
-    assert "is waiting" in world.node.motions.whole_body.status.text
+    assert "is waiting" in world.node.motions.whole_body.log.text
     world.joints, good = np.full(6, NAN), world.joints
     world.run(0.3)
-    assert "is waiting: arm/joint_states: " in world.node.motions.whole_body.status.text
+    assert "is waiting: arm/joint_states: " in world.node.motions.whole_body.log.text
     world.joints = good
     world.run_until(lambda: world.body.state is PathState.FOLLOWING, 3.0, "the begin")
     world.run_to_body_end()
@@ -309,8 +309,7 @@ def test_a_jump_back_in_time_discards_the_joint_states(world):
     world.send_body([GOAL])
     world.run(0.3)
     assert (
-        "arm/joint_states" in world.node.motions.whole_body.status.text
-        and not world.joint_previews
+        "arm/joint_states" in world.node.motions.whole_body.log.text and not world.joint_previews
     )
 
 

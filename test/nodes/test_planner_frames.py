@@ -10,6 +10,7 @@ from rclpy.parameter import Parameter
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.core import se2
+from omniman_ros.nodes.motion_log import MotionEvent
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.cycle import PlannerState
 from test.nodes.test_mpc_planner import (
@@ -163,4 +164,4 @@ def test_a_goal_in_an_unknown_frame_is_refused_after_the_wait():
         assert world.warnings == [] and world.core.goal is None
         world.run(0.2)
         assert "frame 'moon', expected 'odom'" in world.warnings[0]
-        assert world.node.loop.goals.refused == 1
+        assert world.node.loop.goals.counts[MotionEvent.REFUSED] == 1

@@ -1,5 +1,6 @@
 """Goals of the planner, from topics and from the action `navigate_to_pose`."""
 
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ from omniman_ros.conversions.poses import (
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.motion_events import request_of
+from omniman_ros.nodes.motion_log import LoggedMotion
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.goal_anchor import PlacedGoal
@@ -28,6 +31,9 @@ if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 
+ReceivedGoal = tuple[LoggedMotion, Any]  #: A goal in the log, and its message
+
+
 class GoalInterface:
     """Subscribes to `goal_pose`, `goal_state` and `goal_trajectory`."""
 
@@ -36,24 +42,34 @@ class GoalInterface:
         node: OmnimanNode,
         settings: ParameterSet[MpcPlannerParameters],
         frames: FrameTransforms,
-        submit: Callable[[Callable[[], PlacedGoal]], str],
+        loop: PlannerLoop,
     ) -> None:
         self._node, self._settings, self._frames = node, settings, frames
-        self._submit = submit
+        self._loop = loop
         for kind, topic, convert in (
             (PoseStamped, "goal_pose", self._pose_goal),
             (Odometry, "goal_state", self._state_goal),
             (MultiDOFJointTrajectory, "goal_trajectory", self._trajectory_goal),
         ):
-            handler = frames.deferred(topic, lambda got: [got.header], self._handler(convert))
-            node.create_subscription(kind, topic, node.guarded(topic, handler), 10)
+            submit = functools.partial(self._submit, convert)
+            handler = frames.deferred(topic, lambda received: [received[1].header], submit)
+            receive = functools.partial(self._receive, handler)
+            node.create_subscription(kind, topic, node.guarded(topic, receive), 10)
 
-    def submit_pose(self, message: PoseStamped) -> str:
-        """Submit a pose to come to rest at; return why it is refused, or an empty string."""
-        return self._handler(self._pose_goal)(message)
+    def submit_pose(self, message: PoseStamped) -> LoggedMotion:
+        """Submit a pose to come to rest at; raise InputError if it is refused."""
+        motion = self._loop.goals.receive(request_of(message.header.stamp))
+        refusal = self._submit(self._pose_goal, (motion, message))
+        if refusal:
+            raise InputError(refusal)
+        return motion
 
-    def _handler(self, convert: Callable[[Any], Goal]) -> Callable[[Any], str]:
-        return lambda message: self._submit(lambda: self._placed(message, convert))
+    def _receive(self, handler: Callable[[ReceivedGoal], str | None], message: Any) -> str | None:
+        return handler((self._loop.goals.receive(request_of(message.header.stamp)), message))
+
+    def _submit(self, convert: Callable[[Any], Goal], received: ReceivedGoal) -> str:
+        motion, message = received
+        return self._loop.submit(motion, lambda: self._placed(message, convert))
 
     def _placed(self, message: Any, convert: Callable[[Any], Goal]) -> PlacedGoal:
         placement = self._frames.placement(message.header)
@@ -104,24 +120,19 @@ class GoalExecutor:
         self._node, self._goals, self._loop = node, goals, loop
         self._sensors, self._planner, self._frame = sensors, planner, frame
 
-    def send(self, request: Any) -> int:
-        """Drive to a goal's pose and return its number; raise InputError if it is refused."""
+    def send(self, request: Any) -> LoggedMotion:
+        """Drive to a goal's pose; raise InputError if it is refused."""
         if request.behavior_tree:
             raise InputError(f"behavior_tree must be empty, not '{request.behavior_tree}'")
-        refusal = self._goals.submit_pose(request.pose)
-        if refusal:
-            raise InputError(refusal)
-        return self._loop.goals.latest
+        return self._goals.submit_pose(request.pose)
 
-    def outcome(self, motion: int) -> str | None:
+    def outcome(self, motion: LoggedMotion) -> str | None:
         """Return why a goal ended: empty if it was reached; None until the robot is at rest."""
-        log = self._loop.goals
-        is_coming_to_rest = not log.has_goal and self._loop.is_moving
-        return None if is_coming_to_rest else log.outcome_of(motion)
+        return None if self._loop.is_braking else motion.outcome
 
-    def cancel(self, motion: int) -> None:
+    def cancel(self, motion: LoggedMotion) -> None:
         """Bring the robot to rest if it waits for this goal or drives to it."""
-        if self._loop.goals.outcome_of(motion) is None:
+        if motion.outcome is None:
             self._loop.cancel()
 
     def fill_feedback(self, feedback: Any) -> bool:

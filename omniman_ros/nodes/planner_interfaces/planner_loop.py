@@ -5,111 +5,30 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.motion_ledger import MotionLedger
+from omniman_ros.nodes.motion_events import MotionEvents
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.sensor_interface import (
     ArmConfigurationInterface,
     SensorInterface,
 )
-from omniman_ros.planning.cycle import GoalOutcome, MeasuredState, PlannerState
+from omniman_ros.planning.cycle import MeasuredState, PlannerState
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
-
-#: Outcomes of which the status warns
-_TROUBLE = (GoalOutcome.WAITING, GoalOutcome.REFUSED, GoalOutcome.GIVEN_UP)
-
-
-class GoalLog:
-    """Outcome of the latest goal, the outcomes of goals by their numbers, and counts of goals."""
-
-    def __init__(self) -> None:
-        self.outcome, self.text = GoalOutcome.NONE, "no goal yet"
-        self.accepted = self.refused = 0
-        self._ledger = MotionLedger()
-        self._waiting = self._driven = 0
-
-    @property
-    def is_trouble(self) -> bool:
-        """Whether the status warns of the outcome while there is no goal."""
-        return self.outcome in _TROUBLE
-
-    @property
-    def latest(self) -> int:
-        """Number of the latest goal that could be used; 0 before the first."""
-        return self._ledger.accepted
-
-    @property
-    def has_goal(self) -> bool:
-        """Whether a goal waits or is driven to."""
-        return bool(self._waiting or self._driven)
-
-    def outcome_of(self, goal: int) -> str | None:
-        """Return why a goal ended: empty if it was reached; None while it has not ended."""
-        return None if goal in (self._waiting, self._driven) else self._ledger.outcome(goal)
-
-    def receive(self) -> None:
-        """Number a goal that can be used; it waits from now on."""
-        self._ledger.accept()
-        self._waiting = self._close(self._waiting, "replaced by a new goal") or self.latest
-
-    def wait(self, reason: str) -> None:
-        """Record that the goal waits."""
-        self.outcome, self.text = GoalOutcome.WAITING, f"a goal waits: {reason}"
-
-    def accept(self) -> None:
-        """Record that the goal that waited is driven to from now on."""
-        self.outcome, self.text = GoalOutcome.ACCEPTED, ""
-        self.accepted += 1
-        self._close(self._driven, "replaced by a new goal")
-        self._driven, self._waiting = self._waiting, 0
-
-    def reject(self, reason: str) -> None:
-        """Record that a goal could not be used; the others stay as they are."""
-        self.outcome, self.text = GoalOutcome.REFUSED, f"a goal was refused: {reason}"
-        self.refused += 1
-
-    def refuse(self, reason: str) -> None:
-        """Record that the goal that waited was refused."""
-        self.reject(reason)
-        self._waiting = self._close(self._waiting, reason)
-
-    def give_up(self, reason: str) -> None:
-        """Record that the goal was given up."""
-        self.outcome, self.text = GoalOutcome.GIVEN_UP, f"the goal was given up: {reason}"
-        self._driven = self._close(self._driven, reason)
-
-    def cancel(self) -> None:
-        """Record that the goal was cancelled, and any that waited."""
-        self.outcome, self.text = GoalOutcome.CANCELLED, "cancelled"
-        self._waiting = self._close(self._waiting, self.text)
-        self._driven = self._close(self._driven, self.text)
-
-    def arrive(self) -> None:
-        """Record that the goal was reached."""
-        self.outcome, self.text = GoalOutcome.ARRIVED, "arrived"
-        self._driven = self._close(self._driven, "")
-
-    def reject_plan(self, reason: str) -> None:
-        """Record that the last plan to the accepted goal was not used."""
-        self.outcome, self.text = GoalOutcome.ACCEPTED, f"last plan not used: {reason}"
-
-    def _close(self, goal: int, outcome: str) -> int:
-        """Record how a goal ended, if there is one; return 0, the number of no goal."""
-        if goal:
-            self._ledger.close(outcome, goal)
-        return 0
 
 
 class PlannerLoop:
     """Serves requests, supervises the drive, and runs one planning cycle per tick.
 
     Attributes:
+        events: Tells clients what becomes of goals.
+        goals: Log of the goals.
         silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
             while the robot waits for them, or empty.
         solve_time: Duration of the last planning [s]; NaN before the first.
@@ -128,8 +47,17 @@ class PlannerLoop:
     ) -> None:
         self._node, self._planner, self._anchor = node, planner, anchor
         self._sensors, self._posture, self._monitor = sensors, posture, monitor
-        self._publisher, self._plans, self.goals = publisher, plans, GoalLog()
-        self._pending, self._is_closed = PendingStart(node.now, monitor), False
+        self._publisher, self._plans = publisher, plans
+        self.events, self._is_closed = MotionEvents(node), False
+        self.goals = self.events.log(MotionKind.GOAL)
+        self._pending = PendingMotion(
+            node.now,
+            monitor,
+            self.goals,
+            lambda: monitor.blocking_reason,
+            self._blocking_reason,
+        )
+        self._end: MotionEvent | None = None  # of the goal whose motion is coming to rest
         self.silence, self.solve_time = "", math.nan
         self._last_tick = node.now()
 
@@ -138,32 +66,22 @@ class PlannerLoop:
         """Whether there is a goal to drive to, or the motion is not over."""
         return self._planner.active or self._planner.motion.end > self._node.now()
 
-    def submit(self, make_goal: Callable[[], PlacedGoal]) -> str:
+    @property
+    def is_braking(self) -> bool:
+        """Whether the robot comes to rest, and there is no goal."""
+        return self.is_moving and self._planner.goal is None and not self._pending
+
+    def submit(self, motion: LoggedMotion, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return or raise why it is refused."""
         try:
             if self._is_closed:
                 raise InputError("the node is shutting down")
             goal = make_goal()
         except InputError as error:
-            self.goals.reject(str(error))
+            self.goals.refuse(motion, str(error))
             raise
         self._sensors.obstacles.dismiss_silent_source()
-        self.goals.receive()
-        self._pending.put(lambda: self._start(goal))
-        return self._attempt()
-
-    def _attempt(self) -> str:
-        """Start the goal that waits if the robot is ready; return why it is refused, or ""."""
-        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self.goals.wait(attempt.reason)
-        elif attempt.state is StartState.REFUSED:
-            self.goals.refuse(attempt.reason)
-        elif attempt.state is StartState.STARTED:
-            self.goals.accept()
-            self._node.get_logger().info("goal accepted")
-            self.silence = ""
-        return attempt.refusal
+        return self._pending.accept(motion, lambda: self._start(motion, goal))
 
     def _blocking_reason(self) -> str:
         """Return why no goal can be driven to yet, or an empty string."""
@@ -175,11 +93,13 @@ class PlannerLoop:
             return "control was lost a moment ago"
         return self._silence_reason(now)
 
-    def _start(self, goal: PlacedGoal) -> None:
+    def _start(self, motion: LoggedMotion, goal: PlacedGoal) -> None:
         measured = self._sensors.measured
         assert measured is not None
         self._planner.footprint = self._posture.footprint(self._node.now())
         self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())
+        self.goals.start(motion)
+        self.silence, self._end = "", None
 
     def pause(self) -> str:
         """Bring the robot to rest and keep the goal; return any reason for refusal, or ""."""
@@ -188,6 +108,7 @@ class PlannerLoop:
         self.silence = ""
         now = self._node.now()
         self._planner.pause(now)
+        self.goals.note_pause(is_paused=True)
         self._publisher.send(now)
         return ""
 
@@ -196,6 +117,7 @@ class PlannerLoop:
         measured = self._sensors.measured
         if measured is None or not self._planner.resume(measured):
             return f"nothing to resume: {self._planner.state.value}"
+        self.goals.note_pause(is_paused=False)
         return ""
 
     def cancel(self) -> str:
@@ -203,8 +125,7 @@ class PlannerLoop:
         if not self._pending and self._planner.goal is None:
             return f"nothing to cancel: {self._planner.state.value}"
         self._pending.discard()
-        self._brake_for_good()
-        self.goals.cancel()
+        self._brake_for_good(MotionEvent.CANCELLED)
         return ""
 
     def begin_shutdown(self) -> None:
@@ -212,9 +133,7 @@ class PlannerLoop:
         self._is_closed = True
         self._pending.discard()
         if self._planner.goal is not None:
-            self._brake_for_good()
-        if self.goals.has_goal:
-            self.goals.cancel()
+            self._brake_for_good(MotionEvent.CANCELLED)
 
     def give_up_if_lost(self) -> None:
         """Give the goal up if the robot does not follow this planner any more."""
@@ -234,14 +153,21 @@ class PlannerLoop:
     def _log_given_up(self, reason: str) -> None:
         self.silence = ""
         if self._planner.goal is not None:
-            self.goals.give_up(reason)
-            self._node.warn("given up", self.goals.text)
+            self.goals.end(MotionEvent.GIVEN_UP, reason)
 
-    def _brake_for_good(self) -> None:
-        self.silence = ""
+    def _brake_for_good(self, end: MotionEvent | None = None) -> None:
+        """Bring the robot to rest without a goal, which ends so if it has not ended."""
+        self.silence, self._end = "", end
         now = self._node.now()
         self._planner.cancel(now)
         self._publisher.send(now)
+        self._tell_end()
+
+    def _tell_end(self) -> None:
+        """Record the end of a goal once the robot is at rest."""
+        if self._end is not None and not self.is_moving:
+            self.goals.end(self._end)
+            self._end = None
 
     def tick(self) -> None:
         """Supervise the drive, start the goal that waits, and run one planning cycle."""
@@ -252,7 +178,7 @@ class PlannerLoop:
         self.give_up_if_lost()
         self._planner.footprint = self._posture.footprint(now)
         self._sensors.update_map()
-        refusal = self._attempt()
+        refusal = self._pending.start()
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
         measured, fault = self._sensors.measured, self._sensors.odom_fault(now)
@@ -263,6 +189,7 @@ class PlannerLoop:
             self._brake_for_good()
         else:
             self._plan(now, measured)
+        self._tell_end()
 
     def _silence_reason(self, now: float) -> str:
         """Return why the surroundings or the arm's posture are not known, or an empty string."""
@@ -278,21 +205,21 @@ class PlannerLoop:
             if not self.silence:
                 planner.brake(now)
             self.silence = silence
+            self.goals.note_pause(is_paused=True, reason=silence)
             self._node.warn("silent", f"the robot stops: {silence}")
             self._publisher.send(now)
             return
         self.silence = ""
+        self.goals.note_pause(is_paused=False)
         self._anchor.update(now, obstacles)
         proposal = planner.propose(now, measured, obstacles)
         done = self._node.now()
         self.solve_time = done - now
         planner.take(proposal, done, measured, obstacles)
         if planner.report.reason:
-            self.goals.reject_plan(planner.report.reason)
-            self._node.warn("plan", self.goals.text)
+            self._node.warn("plan", f"last plan not used: {planner.report.reason}")
         if planner.state is PlannerState.ARRIVED:
-            self.goals.arrive()
-            self._node.get_logger().info("goal reached")
+            self._end = MotionEvent.ARRIVED
         self._publisher.send(done)
         self._plans.publish(done, obstacles)
         planner.update_route(done, obstacles)

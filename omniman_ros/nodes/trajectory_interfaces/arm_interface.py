@@ -16,6 +16,7 @@ from omniman_ros.motion.path.joint_points import JointPlanner
 from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.point_stream import PointStream
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import ArmOutput
@@ -29,20 +30,19 @@ class ArmInterface(JointInterface):
     """Trajectories of the arm, which may run next to paths of the platform."""
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core, ArmOutput(context))
+        super().__init__(context, core, ArmOutput(context), MotionKind.ARM)
         self._stream = PointStream()
 
     def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
         """Set new parameters, which apply from the next trajectory on."""
         self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options, TICK)
 
-    def trajectory(self, message: JointTrajectory) -> str:
+    def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory; see the base class."""
         points, delay = self.points(message), self._context.start_delay(message.header.stamp)
         why = self._blocking_reason()
         if not why:
-            self.log.accept(replaces_pending=False)
-            self.start(points, delay)
+            self.start(motion, points, delay)
             self._stream.lose("a trajectory took over")
         return why
 
@@ -54,13 +54,23 @@ class ArmInterface(JointInterface):
         """
         last = message.points[-1]
         lead = time_seconds(last.time_from_start)
-        if not 0.0 < lead <= STREAM_LEAD - self._context.time_to(message.header.stamp):
+        delay = max(self._context.time_to(message.header.stamp), 0.0)
+        if not 0.0 < lead <= STREAM_LEAD - delay:
             return False
         in_motion = not round_off.is_rest(np.array(last.velocities))
         return len(message.points) == 1 or in_motion or self._stream.active
 
-    def follow_point(self, message: JointTrajectory) -> str:
-        """Move the arm to the last point of a stream's message; return or raise why not."""
+    @property
+    def is_streaming(self) -> bool:
+        """Whether a stream moves the arm; its points are no motions of their own."""
+        return self._stream.active
+
+    def follow_point(self, motion: LoggedMotion, message: JointTrajectory) -> str:
+        """Move the arm to the last point of a stream's message; return or raise why not.
+
+        Args:
+            motion: Motion of the stream if it begins with this point.
+        """
         points, context = self.points(message), self._context
         target = MovingTarget.last_of(points, context.time_to(message.header.stamp))
         why = self._blocking_reason() or self._held_reason
@@ -78,9 +88,7 @@ class ArmInterface(JointInterface):
         self._stream.follow(self._node.now() + max(timeout, target.due))
         self.output.begin(from_rest=from_rest)
         if begins:
-            self.log.accept(replaces_pending=False)
-            self.log.start(replaces_driven=not from_rest)
-            self._announce("a stream of points")
+            self._announce(motion, "a stream of points")
         else:
             self.publish(context.options.horizon)
         return ""

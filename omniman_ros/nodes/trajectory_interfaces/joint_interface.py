@@ -7,8 +7,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
+from omniman_ros.nodes.motion_events import request_of
+from omniman_ros.nodes.motion_log import LoggedMotion
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
 
@@ -28,7 +31,7 @@ class JointInterface(MotionInterface, ABC):
         return self.core.planner.limits.names
 
     @abstractmethod
-    def trajectory(self, message: JointTrajectory) -> str:
+    def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait; return or raise (InputError) why it is refused."""
 
     @abstractmethod
@@ -39,13 +42,8 @@ class JointInterface(MotionInterface, ABC):
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (d,) of the axes; None if they are unknown."""
 
-    @property
-    def is_pending(self) -> bool:
-        """Whether the motion that was accepted last still waits to be started."""
-        return False
-
-    def discard_pending(self) -> bool:
-        """Discard the motion that waits, and return whether there was one."""
+    def discard_pending(self, motion: LoggedMotion | None = None) -> bool:
+        """Discard the motion that waits, any or only this one; return whether there was it."""
         return False
 
     def desired(self) -> tuple[Array, Array, Array] | None:
@@ -62,7 +60,7 @@ class JointInterface(MotionInterface, ABC):
         if not self.idle:
             self.core.cancel(self._context.time_base.now())
 
-    def start(self, points: JointPoints, delay: float | None) -> None:
+    def start(self, motion: LoggedMotion, points: JointPoints, delay: float | None) -> None:
         """Plan a trajectory, or raise InputError; start it after a delay [s], None: at once."""
         begin, time_base = self._node.now(), self._context.time_base
 
@@ -76,40 +74,51 @@ class JointInterface(MotionInterface, ABC):
         count = len(points.positions)
         proposal = self._take(propose, MIN_PLANNING_TIME + PLANNING_TIME_PER_POINT * count)
         times = "given" if points.times is not None else "computed"
-        self._announce(f"{count} points in {proposal.curve.duration:.2f} s, times {times}")
+        self._announce(motion, f"{count} points in {proposal.curve.duration:.2f} s, times {times}")
 
     def _take(
         self, propose: Callable[[float], JointProposal], planning_time: float
     ) -> JointProposal:
         from_rest = self.idle
         proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
-        self.log.start(replaces_driven=not from_rest)
         self.output.begin(from_rest=from_rest)
         return proposal
 
-    def send(self, message: JointTrajectory) -> int:
-        """Accept the trajectory of an action's goal; return the number of its motion.
+    def submit(
+        self,
+        motion: LoggedMotion,
+        message: JointTrajectory,
+        start: Callable[[LoggedMotion, JointTrajectory], str],
+        hint: str = "",
+    ) -> str:
+        """Start a motion; record and return or raise why it is refused, with a hint."""
+        try:
+            if self._context.is_ending():
+                raise InputError("the node is shutting down")
+            why = start(motion, message)
+        except InputError as error:
+            raise self.log.refuse(motion, f"{error}{hint}") from error
+        if why:
+            why += hint
+            self.log.refuse(motion, why)
+        return why
+
+    def send(self, message: JointTrajectory) -> LoggedMotion:
+        """Accept the trajectory of an action's goal.
 
         Raises:
             InputError: The trajectory is refused; the motion under way goes on.
         """
-        if self._context.is_ending():
-            raise self.log.refuse("the node is shutting down")
-        why = self.trajectory(message)
+        motion = self.log.receive(request_of(message.header.stamp))
+        why = self.submit(motion, message, self.trajectory)
         if why:
-            raise self.log.refuse(why)
-        return self.log.ledger.accepted
+            raise InputError(why)
+        return motion
 
-    def outcome(self, motion: int) -> str | None:
-        """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-        return self.log.ledger.outcome_so_far(
-            motion, is_driven=not self.idle, is_pending=self.is_pending
-        )
-
-    def cancel(self, motion: int) -> None:
+    def cancel(self, motion: LoggedMotion) -> None:
         """Discard a motion that waits, or bring the one under way to rest on its path."""
-        if motion == self.log.ledger.accepted and self.discard_pending():
+        if self.discard_pending(motion):
             return
-        if motion == self.log.ledger.started and not self.idle:
+        if motion is self.log.driven:
             self.stop()
             self._context.on_started()

@@ -11,6 +11,7 @@ from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.motion_events import MotionEvents
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
@@ -36,6 +37,7 @@ class StreamContext(Generic[Options]):
 
     node: OmnimanNode  #: ROS node that owns topics, timers and the clock
     read_options: Callable[[], Options]  #: Returns the current parameters of the node
+    events: MotionEvents  #: Tells clients what becomes of motions
     frames: FrameTransforms  #: Transforms into odom
     #: Monitor of the source that drives the platform, and of stopped nodes
     stream_monitor: StreamMonitor
@@ -76,7 +78,11 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
     self_collision: Callable[[], SelfCollisionCheck]
 
     def start_delay(self, stamp: Time) -> float | None:
-        """Return the time until a stamp [s]; None if it is zero, an InputError if far from now."""
+        """Return the time until a stamp [s]; None for one that means now: zero, or just passed.
+
+        Raises:
+            InputError: The stamp is far from now.
+        """
         if not is_stamped(stamp):
             return None
         delay = self.time_to(stamp)
@@ -85,7 +91,7 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
             raise InputError(f"the stamp is {-delay:.2f} s old")
         if delay > max_delay:
             raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
-        return max(delay, 0.0)
+        return delay if delay > 0.0 else None
 
     def time_to(self, stamp: Time) -> float:
         """Return the time from now to a stamp [s]; 0 for a zero stamp, which means now."""

@@ -1,10 +1,11 @@
 """Coordination of all motions of the node: their inputs, their cycle and their common requests."""
 
+import math
+
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.joints import axis_names
-from omniman_ros.core.errors import InputError
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.axes import AXES, JOINT_COLUMNS, PLATFORM_AXES, PLATFORM_COLUMNS
@@ -15,15 +16,16 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.motion_events import MotionEvents, request_of
+from omniman_ros.nodes.motion_log import MotionKind
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.serialized import deserialized
+from omniman_ros.nodes.serialized import deserialized, serialized_stamp
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
 from omniman_ros.nodes.trajectory_interfaces.limit_interface import HealthInput, LimitInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import (
     MotionTimeBase,
@@ -52,6 +54,7 @@ class TrajectoryInput:
         self, context: MotionContext, arm: ArmInterface, whole_body: WholeBodyInterface
     ) -> None:
         self._context, self._arm, self._whole_body = context, arm, whole_body
+        self._refused_at = -math.inf  # time of the last refused point of a stream [s]
         # The message stays serialized, so that a huge trajectory is refused unread.
         on_trajectory = context.node.guarded("joint_trajectory", self._on_data)
         context.node.create_subscription(
@@ -61,8 +64,9 @@ class TrajectoryInput:
     def _on_data(self, data: bytes) -> str:
         max_points = self._context.options.joint_trajectory.max_points
         if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
+            motion = self._arm.log.receive(request_of(serialized_stamp(data)))
             raise self._arm.log.refuse(
-                f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
+                motion, f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
             )
         message = deserialized(data, JointTrajectory)
         message.joint_names = axis_names(message.joint_names)
@@ -74,26 +78,29 @@ class TrajectoryInput:
         return self._start(message)
 
     def _start(self, message: JointTrajectory) -> str:
-        is_stream = self._arm.is_stream(message)
+        """Start a trajectory; see `JointInterface.submit`.
+
+        Of a stream, only its begin is told, and the first of points that are refused.
+        """
+        is_stream, now = self._arm.is_stream(message), self._context.node.now()
         has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
         follows = is_stream and not has_platform
+        is_for_arm = follows or (self._whole_body.idle and not has_platform)
+        interface = self._arm if is_for_arm else self._whole_body
+        was_refused = now - self._refused_at <= self._context.options.restart
+        motion = interface.log.receive(
+            request_of(message.header.stamp),
+            MotionKind.BODY if has_platform else MotionKind.ARM,
+            quietly=is_stream and (was_refused or (follows and self._arm.is_streaming)),
+        )
+        start = self._arm.follow_point if follows else interface.trajectory
         hint = NO_STREAM if is_stream and has_platform else ""
-        interface = self._arm if follows else self._interface_of(message)
         try:
-            if self._context.is_ending():
-                raise InputError("the node is shutting down")
-            why = self._arm.follow_point(message) if follows else interface.trajectory(message)
-        except InputError as error:
-            raise interface.log.refuse(f"{error}{hint}") from error
-        if why:
-            why += hint
-            interface.log.refuse(why)
+            why = interface.submit(motion, message, start, hint)
+        finally:
+            if is_stream and motion.outcome:
+                self._refused_at = now
         return why
-
-    def _interface_of(self, message: JointTrajectory) -> ArmInterface | WholeBodyInterface:
-        """Return the interface for a trajectory; the whole body's while the whole body moves."""
-        has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
-        return self._whole_body if has_platform or not self._whole_body.idle else self._arm
 
 
 class MotionCoordinator:
@@ -112,6 +119,7 @@ class MotionCoordinator:
         whole_body = JointInterpolator(WholeBodyLimits.of_whole_body(p.core, p.arm), options)
         self.context = MotionContext(
             node=node,
+            events=MotionEvents(node),
             read_options=lambda: settings.value,
             frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart),
@@ -195,8 +203,6 @@ class MotionCoordinator:
     def cancel(self) -> None:
         """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
         discarded = [motion for motion in self._startable.values() if motion.discard_pending()]
-        for motion in discarded:
-            motion.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)
         if not self.context.time_base.idle or not discarded:
             self.context.time_base.cancel()
 

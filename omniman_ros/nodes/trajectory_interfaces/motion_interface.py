@@ -9,8 +9,8 @@ from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.pace import Pace
 from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind, MotionLog
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import Interpolator
 
 
@@ -101,18 +101,25 @@ class DrivenMotion(Interpolator, Protocol):
         """Return the final window of a stream at a pace, which ends at rest on the path."""
 
 
+def note_pause(log: MotionLog, state: PathState, reason: str = "") -> None:
+    """Record whether the motion under way is paused; a reason says why the node has done it."""
+    if state in (PathState.PAUSING, PathState.PAUSED):
+        log.note_pause(is_paused=True, reason=reason)
+    elif state is PathState.FOLLOWING:
+        log.note_pause(is_paused=False)
+
+
 class MotionInterface:
     """Drives a motion: sends its previews, and reports its end."""
 
     core: DrivenMotion  #: Motion that is driven
 
     def __init__(
-        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: str = "trajectory"
+        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: MotionKind
     ) -> None:
         self._context, self._node = context, context.node
         self.core, self.output = core, output
-        self.log = MotionLog(self._node, kind)
-        self.status = self.log.status
+        self.log = context.events.log(kind)
 
     @property
     def idle(self) -> bool:
@@ -124,8 +131,8 @@ class MotionInterface:
         window = paced_window(pace, self.core.sample, np.array([time]))
         return window.positions[0], window.velocities[0], window.accelerations[0]
 
-    def _announce(self, text: str) -> None:
-        self.log.announce(text)
+    def _announce(self, motion: LoggedMotion, text: str) -> None:
+        self.log.start(motion, text)
         self._context.on_started()
 
     def give_up(self, why: str, *, brake: bool) -> None:
@@ -141,7 +148,7 @@ class MotionInterface:
         now = self._node.now()
         window = self._stop_window(now) if brake and self.output.is_covered(now) else None
         self.core.abort()
-        self.log.give_up(why)
+        self.log.end(MotionEvent.GIVEN_UP, why)
         if window is not None:
             self.output.send(window)
         self.output.give_up()
@@ -161,8 +168,10 @@ class MotionInterface:
         self.core.update(motion_time)
         if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
             self.core.abort()
+        note_pause(self.log, self.core.state)
         if self.idle:
-            self.log.end(cancelled=before is PathState.CANCELLING)
+            is_cancelled = before is PathState.CANCELLING
+            self.log.end(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
             self.output.end()
 
     def publish(self, horizon: float) -> None:

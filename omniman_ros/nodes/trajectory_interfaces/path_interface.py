@@ -11,9 +11,12 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathProposal, PathState
 from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.motion_events import request_of
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionLog
-from omniman_ros.nodes.trajectory_interfaces.pending_motion import PathInput, PendingMotion
+from omniman_ros.nodes.trajectory_interfaces.motion_interface import note_pause
+from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 
 SAMPLES = 100  #: Number of poses by which the length of the rest of a path is measured
 PLANNING_TIME_PER_POSE = 1e-4  #: Planning time that is expected for each pose of a path [s]
@@ -25,18 +28,21 @@ class PathInterface:
     def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
         self._context, self._node = context, context.node
         self.core = core
-        self._log = MotionLog(self._node, "path")
-        self.status, self.ledger = self._log.status, self._log.ledger
+        self.log = context.events.log(MotionKind.PATH)
         self.pending = PendingMotion(
-            context, self._log, lambda: context.conflict(self), self._blocking_reason
+            self._node.now,
+            context.stream_monitor,
+            self.log,
+            lambda: context.stream_monitor.blocking_reason or context.conflict(self),
+            self._blocking_reason,
         )
         PathInput(
             context,
             "path",
+            self.log,
             max_poses=lambda: context.options.core.path.max_poses,
             refusal=lambda: "",
-            accept=self.accept,
-            refuse=self._log.refuse,
+            accept=self._accept,
         )
 
     @property
@@ -44,7 +50,7 @@ class PathInterface:
         """Whether no path is under way."""
         return self.core.state is PathState.IDLE
 
-    def accept(self, message: Path) -> str:
+    def _accept(self, motion: LoggedMotion, message: Path) -> str:
         """Start a path, placed in odom now, or let it wait; return or raise why it is refused."""
         p, frames = self._context.options, self._context.frames
         try:
@@ -52,11 +58,11 @@ class PathInterface:
             names = p.frames.odom.beside(message.header.frame_id)
             poses = path_poses(message, names, p.core.path.heading == "poses")
             poses = se2.displaced(poses, place)
+            if self._context.is_ending():
+                raise InputError("the node is shutting down")
         except InputError as error:
-            raise self._log.refuse(str(error)) from error
-        if self._context.is_ending():
-            raise self._log.refuse("the node is shutting down")
-        return self.pending.accept(lambda: self._start(poses))
+            raise self.log.refuse(motion, str(error)) from error
+        return self.pending.accept(motion, lambda: self._start(motion, poses))
 
     def start_pending(self) -> str:
         """Start the path that waits if possible; return why it is refused, or an empty string."""
@@ -68,7 +74,7 @@ class PathInterface:
         why = self._context.odom.blocking_reason(self._context.options.odom_timeout)
         return why or self._context.control_wait_reason()
 
-    def _start(self, poses: Array) -> None:
+    def _start(self, motion: LoggedMotion, poses: Array) -> None:
         context = self._context
         pose = context.odom.pose
         assert pose is not None
@@ -77,10 +83,8 @@ class PathInterface:
             return self.core.propose(poses, pose, context.time_base.now(), lead)
 
         planning_time = MIN_PLANNING_TIME + PLANNING_TIME_PER_POSE * len(poses)
-        under_way = not self.idle
         proposal = context.propose_in_time(propose, self.core.take, planning_time)
         plan = proposal.plan
-        self._log.start(replaces_driven=under_way)
         if proposal.since is None:
             context.odom.silence = 0.0
             context.platform_previews.covered_until = float("inf")
@@ -89,7 +93,7 @@ class PathInterface:
             f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} times "
             "the shortest duration without jerk limits"
         )
-        self._log.announce(text)
+        self.log.start(motion, text)
         context.on_started()
 
     def discard_pending(self) -> bool:
@@ -99,14 +103,14 @@ class PathInterface:
     def give_up(self, why: str) -> None:
         """Discard the path, because the platform no longer follows it."""
         if not self.idle:
-            self._log.give_up(why)
+            self.log.end(MotionEvent.GIVEN_UP, why)
             self.core.abort()
             self._context.stream_monitor.end(lost=True)
 
     def tick(self) -> None:
         """Publish the next preview, and report the end of the path."""
         time_base, before = self._context.time_base, self.core.state
-        motion_time = time_base.now()
+        motion_time, why = time_base.now(), ""
         if before is PathState.IDLE:
             return
         horizon = self._context.options.horizon
@@ -114,16 +118,17 @@ class PathInterface:
         try:
             self.core.update(motion_time)
         except InputError as error:
-            text = f"a path was paused: {error}"
-            self.status.report(MotionEvent.PAUSED, text)
-            self._node.warn("path paused", text)
+            why = str(error)
+            self._node.warn("path paused", f"a path was paused: {why}")
+        note_pause(self.log, self.core.state, why)
         if before is PathState.SLOWING and self.core.state is PathState.FOLLOWING:
             self.publish(horizon)  # the path continues before the next tick
         if before is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
             self.core.abort()
         if self.idle:
             self._context.stream_monitor.end(lost=False)
-            self._log.end(cancelled=before is PathState.CANCELLING)
+            is_cancelled = before is PathState.CANCELLING
+            self.log.end(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the path under way that is `horizon` long [s]."""
@@ -140,28 +145,27 @@ class PathInterface:
         times = time_base.sample_times(horizon)
         return paced_window(time_base.pace, self.core.sample, times)
 
-    def send(self, request: Any) -> int:
-        """Follow the path of a goal of the action `follow_path`, and return the path's number.
+    def send(self, request: Any) -> LoggedMotion:
+        """Follow the path of a goal of the action `follow_path`.
 
         `controller_id` and the checkers of goal and progress name plugins of Nav2, and count for
         nothing here.
         """
-        refusal = self.accept(request.path)
+        motion = self.log.receive(request_of(request.path.header.stamp))
+        refusal = self._accept(motion, request.path)
         if refusal:
             raise InputError(refusal)
-        return self.ledger.accepted
+        return motion
 
-    def outcome(self, motion: int) -> str | None:
+    def outcome(self, motion: LoggedMotion) -> str | None:
         """Return why a path ended: empty if it was driven; None while it waits or goes on."""
-        return self.ledger.outcome_so_far(
-            motion, is_driven=not self.idle, is_pending=bool(self.pending)
-        )
+        return motion.outcome
 
-    def cancel(self, motion: int) -> None:
+    def cancel(self, motion: LoggedMotion) -> None:
         """Discard the path if it waits, or bring the platform to rest on it."""
-        if motion == self.ledger.accepted and self.discard_pending():
+        if self.pending.discard(motion=motion):
             return
-        if motion == self.ledger.started and not self.idle:
+        if motion is self.log.driven:
             self.core.cancel(self._context.time_base.now())
             self._context.on_started()
 

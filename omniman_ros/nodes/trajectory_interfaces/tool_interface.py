@@ -12,12 +12,13 @@ from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.nodes.motion_events import UNSTAMPED
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionStatus
-from omniman_ros.nodes.trajectory_interfaces.pending_motion import PathInput
+from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher
 
 Plan = TypeVar("Plan")
@@ -49,7 +50,7 @@ class ToolDriver(Protocol[Plan]):
     def planner(self, poses: Array, start: Array) -> Callable[[], Plan]:
         """Return what plans tool poses (k, 4, 4) in odom from axes (9,), also in a thread."""
 
-    def drive(self, plan: Plan) -> None:
+    def drive(self, motion: LoggedMotion, plan: Plan) -> None:
         """Start a planned motion; raise InputError if it cannot be driven any more."""
 
 
@@ -66,9 +67,15 @@ class ToolInterface(Generic[Plan]):
         self._context, self._node, self._whole_body = context, context.node, whole_body
         self._driver, self._on_accepted = driver, on_accepted
         self._model = WholeBodyModel(context.options.mount)
-        self.pending = PendingStart(self._node.now, context.stream_monitor)
-        self.status = MotionStatus("no path of the tool yet")
-        self._plan: Future[Plan] | None = None
+        self.log = context.events.log(MotionKind.TOOL_PATH)
+        self.pending = PendingMotion(
+            self._node.now,
+            context.stream_monitor,
+            self.log,
+            self._refusal,
+            self._blocking_reason,
+        )
+        self._plan: tuple[LoggedMotion, Future[Plan]] | None = None
         self._running: Future[Plan] | None = None
         self._start_position: Array = np.zeros(0)
         self._tool_pose = ToolPosePublisher(
@@ -78,10 +85,10 @@ class ToolInterface(Generic[Plan]):
         PathInput(
             context,
             "tool_path",
+            self.log,
             max_poses=lambda: context.options.tool_path.max_poses,
             refusal=self._refusal,
             accept=self._accept,
-            refuse=self._refuse,
         )
 
     def _publish_tool_pose(self) -> None:
@@ -92,7 +99,7 @@ class ToolInterface(Generic[Plan]):
         if measured is not None and self._node.now() - measured_at < timeout:
             self._tool_pose.send(measured_at, self._model.forward(measured[0]))
 
-    def _accept(self, message: Path) -> str:
+    def _accept(self, motion: LoggedMotion, message: Path) -> str:
         """Take a path, in odom as its frame is known now: it stays there."""
         max_poses = self._context.options.tool_path.max_poses
         try:
@@ -103,20 +110,24 @@ class ToolInterface(Generic[Plan]):
             if self._context.is_ending():
                 raise InputError("the node is shutting down")
         except InputError as error:
-            raise self._refuse(str(error)) from error
+            raise self.log.refuse(motion, str(error)) from error
 
         def planner(start: Array) -> Callable[[], Plan]:
             poses = self._poses(message, place, self._model.forward(start)[:3, :3])
             return self._driver.planner(poses, start)
 
-        return self.take(planner, f"a tool path of {len(message.poses)} poses")
+        return self._take(motion, planner, f"a tool path of {len(message.poses)} poses")
 
     def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
         """Take a motion, planned from axes (9,) at rest; return why it is refused, or ""."""
-        self.discard_pending()
+        return self._take(self.log.receive(UNSTAMPED), planner, label)
+
+    def _take(
+        self, motion: LoggedMotion, planner: Callable[[Array], Callable[[], Plan]], label: str
+    ) -> str:
+        self.discard_pending(MotionEvent.REPLACED)
         self._on_accepted()
-        self.pending.put(lambda: self._start_planning(planner, label))
-        return self.start_pending()
+        return self.pending.accept(motion, lambda: self._start_planning(motion, planner, label))
 
     def _poses(self, message: Path, place: Array, here: Array) -> Array:
         """Return poses (k, 4, 4) in odom of a path in a frame at `place`; see `tool_poses`."""
@@ -132,33 +143,27 @@ class ToolInterface(Generic[Plan]):
     @property
     def is_planning(self) -> bool:
         """Whether a path is being planned."""
-        return self._plan is not None and not self._plan.done()
+        return self._plan is not None and not self._plan[1].done()
 
-    def _refuse(self, why: str) -> InputError:
-        self.status.report(MotionEvent.REFUSED, f"a tool path was refused: {why}")
-        return InputError(why)
-
-    def discard_pending(self) -> bool:
+    def discard_pending(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
         """Discard the path that waits or is being planned, and return whether there was one."""
         plan, self._plan = self._plan, None
-        return self.pending.discard() or plan is not None
+        if plan is not None:
+            self.log.report(plan[0], event)
+        return self.pending.discard(event) or plan is not None
 
     def start_pending(self) -> str:
         """Plan the path that waits, or start it once planned; return why it is refused, or ""."""
-        refusal = self._refusal()
-        if self._plan is not None and refusal:  # a reset must not start the path
-            self.discard_pending()
-            self._refuse(refusal)
-            return refusal
-        attempt = self.pending.attempt(refusal, self._blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self.status.report(MotionEvent.WAITING, f"a tool path is waiting: {attempt.reason}")
-        why = attempt.refusal
-        if self._plan is not None and self._plan.done():
-            plan, self._plan = self._plan, None
-            why = self._refusal() or self._whole_body.blocking_reason() or self._start(plan)
+        why = self.pending.start() if self._plan is None else ""
+        if self._plan is None:
+            return why
+        (motion, plan), why = self._plan, self._refusal()
+        if not why and not plan.done():  # a reset must not start the path
+            return ""
+        self._plan = None
+        why = why or self._whole_body.blocking_reason() or self._start(motion, plan)
         if why:
-            self._refuse(why)
+            self.log.refuse(motion, why)
         return why
 
     def _refusal(self) -> str:
@@ -173,13 +178,15 @@ class ToolInterface(Generic[Plan]):
             return "a discarded path is still being planned"
         return self._whole_body.blocking_reason()
 
-    def _start_planning(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> None:
+    def _start_planning(
+        self, motion: LoggedMotion, planner: Callable[[Array], Callable[[], Plan]], label: str
+    ) -> None:
         start = self._whole_body.rest_position()
-        self._plan, self._start_position = in_background(planner(start)), start
-        self._running = self._plan
-        self.status.report(MotionEvent.PLANNING, f"planning {label}")
+        self._running, self._start_position = in_background(planner(start)), start
+        self._plan = motion, self._running
+        self.log.report(motion, MotionEvent.PLANNING, f"planning {label}")
 
-    def _start(self, future: Future[Plan]) -> str:
+    def _start(self, motion: LoggedMotion, future: Future[Plan]) -> str:
         """Start a planned path; return why that is impossible, or an empty string."""
         try:
             plan = future.result()
@@ -195,8 +202,7 @@ class ToolInterface(Generic[Plan]):
         if drift > MAX_START_DRIFT:
             return f"the robot has moved by {drift:.3f} (m or rad) while it was planned"
         try:
-            self._driver.drive(plan)
+            self._driver.drive(motion, plan)
         except InputError as error:
             return str(error)
-        self.status.report(MotionEvent.STARTED, self._whole_body.status.text)
         return ""

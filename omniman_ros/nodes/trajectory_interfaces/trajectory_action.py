@@ -29,8 +29,10 @@ from omniman_ros.motion.path.trajectory_goal import (
     TrajectoryActionOptions,
 )
 from omniman_ros.nodes.deferred_action import DeferredActionServer
+from omniman_ros.nodes.motion_log import LoggedMotion
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MAX_STAMP_AGE
 
 #: Fields of a point of a trajectory, in the order of their derivatives
 PARTS = ("positions", "velocities", "accelerations")
@@ -73,7 +75,7 @@ def _last_positions(trajectory: JointTrajectory, now: float) -> Array:
         raise InputError("the trajectory has no points")
     last, stamp = trajectory.points[-1], time_seconds(trajectory.header.stamp)
     age = now - (stamp + time_seconds(last.time_from_start))
-    if stamp and age > 0.0:
+    if stamp and age > MAX_STAMP_AGE:
         raise InputError(f"the trajectory ended {age:.2f} s ago")
     if len(last.positions) != len(trajectory.joint_names):
         raise InputError(
@@ -113,7 +115,7 @@ class _Goal:
     """A goal under way."""
 
     handle: ServerGoalHandle
-    motion: int  #: Number of its motion
+    motion: LoggedMotion
     monitor: GoalMonitor  #: Monitor of its tolerances
 
 
@@ -228,7 +230,7 @@ class TrajectoryAction:
             self._timer.cancel()  # until the next goal
             return
         desired, actual = self._executor.desired(), self._executor.actual()
-        outcome, stopping = self._executor.outcome(goal.motion), goal.monitor.stop
+        outcome, stopping = goal.motion.outcome, goal.monitor.stop
         verdict = goal.monitor.update(self._node.now(), desired, actual, outcome)
         if desired is not None and actual is not None:
             self._publish(goal, desired, actual)

@@ -13,11 +13,12 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 
@@ -29,9 +30,13 @@ class WholeBodyInterface(BodyInterface, JointInterface):
     core: JointInterpolator  #: Interpolator of the nine axes
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core)
+        super().__init__(context, core, MotionKind.BODY)
         self.pending = PendingMotion(
-            context, self.log, lambda: context.conflict(self), self.blocking_reason
+            self._node.now,
+            context.stream_monitor,
+            self.log,
+            lambda: context.stream_monitor.blocking_reason or context.conflict(self),
+            self.blocking_reason,
         )
 
     def configure(self, new: PathInterpolatorParameters) -> None:
@@ -41,17 +46,19 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         if self._tool is not None:
             self._tool.correction.options = new.tool_path
 
-    def trajectory(self, message: JointTrajectory) -> str:
+    def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait for the robot; see the base class."""
         points = self.points(message)
-        self._context.start_delay(message.header.stamp)
+        delay = self._context.start_delay(message.header.stamp)
+        start = None if delay is None else self._node.now() + delay
         if self._tool is not None and not self.idle:
             return "a path of the tool is under way; ~/cancel ends it"
-        return self.pending.accept(lambda: self._start(points, message))
+        return self.pending.accept(motion, lambda: self._start(motion, points, start))
 
-    def _start(self, points: JointPoints, message: JointTrajectory) -> None:
-        delay = self._context.start_delay(message.header.stamp)
-        self.start(self._unwrapped(points), delay)
+    def _start(self, motion: LoggedMotion, points: JointPoints, start: float | None) -> None:
+        """Start a trajectory at a time [s]; at once if it has passed while the motion waited."""
+        delay = 0.0 if start is None else max(start - self._node.now(), 0.0)
+        self.start(motion, self._unwrapped(points), delay or None)
 
     def _unwrapped(self, points: JointPoints) -> JointPoints:
         """Shift the heading by whole revolutions, from the robot's heading on."""
@@ -62,14 +69,9 @@ class WholeBodyInterface(BodyInterface, JointInterface):
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
         return points.unwrapped(HEADING_COLUMN, float(heading))
 
-    @property
-    def is_pending(self) -> bool:
-        """Whether the motion that was accepted last still waits to be started."""
-        return bool(self.pending)
-
-    def discard_pending(self) -> bool:
-        """Discard the motion that waits, and return whether there was one."""
-        return self.pending.discard()
+    def discard_pending(self, motion: LoggedMotion | None = None) -> bool:
+        """Discard the motion that waits; see the base class."""
+        return self.pending.discard(motion=motion)
 
     def start_pending(self) -> str:
         """Start the waiting motion if possible; return why it is refused, or an empty string."""
@@ -87,12 +89,11 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         )
         return x, v, a
 
-    def follow_tool_path(self, plan: ToolPlan, tool: ToolStream) -> None:
+    def follow_tool_path(self, motion: LoggedMotion, plan: ToolPlan, tool: ToolStream) -> None:
         """Start a path of the tool that was planned from the robot's present position."""
-        self.log.accept(replaces_pending=False)
         self._take(lambda _: JointProposal(plan.curve, None, None), 0.0)
         self._tool = tool
-        self._announce(f"{plan.length:.2f} m of the tool in {plan.curve.duration:.2f} s")
+        self._announce(motion, f"{plan.length:.2f} m of the tool in {plan.curve.duration:.2f} s")
 
     def _take(
         self, propose: Callable[[float], JointProposal], planning_time: float
@@ -124,11 +125,11 @@ class PlannedToolDriver:
 
         return plan
 
-    def drive(self, plan: ToolPlan) -> None:
+    def drive(self, motion: LoggedMotion, plan: ToolPlan) -> None:
         """Start a planned motion."""
         p = self._context.options
         stream = ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity"))
-        self._whole_body.follow_tool_path(plan, stream)
+        self._whole_body.follow_tool_path(motion, plan, stream)
 
 
 def planned_tool_paths(

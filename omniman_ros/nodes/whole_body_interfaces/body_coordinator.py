@@ -15,6 +15,8 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.motion_events import MotionEvents
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
@@ -23,7 +25,6 @@ from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.limit_interface import HealthInput, LimitInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import StreamContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import (
     MotionTimeBase,
@@ -61,7 +62,7 @@ class AvoidanceInterface(BodyInterface):
         core: "AvoidanceMotion",
         surroundings: SurroundingsInterface,
     ) -> None:
-        super().__init__(context, core, "tool path")
+        super().__init__(context, core, MotionKind.TOOL_PATH)
         self._surroundings = surroundings
         self._model = WholeBodyModel(context.options.mount)
         self._found: Obstruction | None = None  # of the last cycle
@@ -99,18 +100,17 @@ class AvoidanceInterface(BodyInterface):
         load = p.load if p.load.is_carried else None
         return BodySetup(p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge)
 
-    def drive(self, task: "BodyTask") -> None:
+    def drive(self, motion: LoggedMotion, task: "BodyTask") -> None:
         """Start a task from the robot's present position."""
         p, now = self._context.options, self._node.now()
-        self.log.accept(replaces_pending=False)
-        self.log.start(replaces_driven=False)
         self.core.follow(task)
         self._tool = ToolStream(self._model, self.core, p.tool_path, p.arm.each("velocity"))
         self.output.begin(from_rest=True)
         self._search = self._found = self._nearest = self._no_path = None
         self._path_parameter, self._moved_at, self._cycled_at = 0.0, now, now
         length = task.redundancy.path.length()
-        self._announce(f"{length:.2f} m of the tool" if task.has_end else "the tool is held")
+        what = f"{length:.2f} m of the tool" if task.has_end else "the tool is held"
+        self._announce(motion, what)
 
     def platform_reference(self, motion_time: float) -> Array:
         """Return the planned pose of the platform; see the base class."""
@@ -218,6 +218,7 @@ class BodyCoordinator:
         motion = AvoidanceMotion(WholeBodyLimits.of_whole_body(p.core, p.arm))
         self.context: StreamContext[WholeBodyPlannerParameters] = StreamContext(
             node=node,
+            events=MotionEvents(node),
             read_options=lambda: settings.value,
             frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart, SOURCE),
@@ -287,8 +288,6 @@ class BodyCoordinator:
     def cancel(self) -> None:
         """Discard what waits or brake what moves; raise RefusedError if there is nothing."""
         is_discarded = self.tool.discard_pending()
-        if is_discarded:
-            self.tool.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)
         if not self.context.time_base.idle or not is_discarded:
             self.context.time_base.cancel()
 

@@ -20,10 +20,10 @@ from omniman_ros.conversions.wheels import electrical_rows
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.motion_log import MotionEvent
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 from omniman_ros.viewer.lines import thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.page_frames import PageFrames
@@ -34,6 +34,11 @@ MAX_INTERVALS = 1000  #: Largest number of setpoint intervals in one sample of t
 MAX_ENERGY = 1e15  #: Largest plausible value of an energy counter [J]
 #: Keys of the states of the motions in the diagnostics of the nodes that drive along paths
 _MOTION_KEYS = ("state", "arm", "body")
+
+#: Events of a path of the tool that is not decided upon
+_BEFORE_START = tuple(
+    event.value for event in (MotionEvent.RECEIVED, MotionEvent.WAITING, MotionEvent.PLANNING)
+)
 
 
 class RobotTopics:
@@ -217,7 +222,7 @@ class RobotTopics:
             return
         if event == MotionEvent.REFUSED.value:
             state.note = values.get("tool_path_last", "")
-        if event not in (MotionEvent.PLANNING.value, MotionEvent.WAITING.value):
+        if event not in _BEFORE_START:
             state.tool_reports = None
 
     def _update_pace(self, values: dict[str, str]) -> None:

@@ -48,7 +48,7 @@ class FakeInterface:
     Attributes:
         sent: Accepted messages.
         refusal: Reason for refusing every trajectory; empty to accept them.
-        outcomes: Outcome of each motion; None while it is active.
+        motions: Motions; the test sets their outcomes.
         cancelled: Cancelled motions, which stay active until the test sets their outcome.
         desired_state: Positions, velocities and accelerations of the axes (3, 3).
         actual_state: Measured positions and velocities of the axes (2, 3).
@@ -63,24 +63,21 @@ class FakeInterface:
     def reset(self) -> None:
         self.sent: list[JointTrajectory] = []
         self.refusal = ""
-        self.outcomes: list[str | None] = []
+        self.motions: list[SimpleNamespace] = []
         self.cancelled: list[int] = []
         self.desired_state = np.zeros((3, 3))
         self.actual_state = np.zeros((2, 3))
         self.query_count = 0
 
-    def send(self, message: JointTrajectory) -> int:
+    def send(self, message: JointTrajectory) -> SimpleNamespace:
         if self.refusal:
             raise InputError(self.refusal)
         self.sent.append(message)
-        self.outcomes.append(None)
-        return len(self.outcomes) - 1
+        self.motions.append(SimpleNamespace(outcome=None))
+        return self.motions[-1]
 
-    def outcome(self, motion: int) -> str | None:
-        return self.outcomes[motion]
-
-    def cancel(self, motion: int) -> None:
-        self.cancelled.append(motion)
+    def cancel(self, motion: SimpleNamespace) -> None:
+        self.cancelled.append(self.motions.index(motion))
 
     def desired(self) -> Any:
         self.query_count += 1
@@ -93,7 +90,7 @@ class FakeInterface:
         """End the last motion with the axes at the given positions."""
         self.desired_state[:], self.actual_state[:] = 0.0, 0.0
         self.desired_state[0], self.actual_state[0] = GOAL, at
-        self.outcomes[-1] = ""
+        self.motions[-1].outcome = ""
 
 
 class ActionWorld(World):
@@ -155,7 +152,8 @@ def served(world: ActionWorld) -> Iterator[ActionWorld]:
     interface.reset()
     world.feedback.clear()
     yield world
-    interface.outcomes = ["the test has ended"] * len(interface.outcomes)
+    for motion in interface.motions:
+        motion.outcome = "the test has ended"
     world.run(2 * OPTIONS.period)
     assert world.action.idle
 
@@ -269,7 +267,7 @@ def test_a_new_goal_replaces_the_active_one_which_is_aborted(served):
     status, code, text = served.result(first)
     assert (status, code) == (Status.STATUS_ABORTED, ErrorCode.INVALID_GOAL)
     assert text == "replaced by a new goal"
-    served.interface.outcomes[0] = "replaced"
+    served.interface.motions[0].outcome = "replaced"
     served.run(0.2)
     assert not second.done() and not served.interface.cancelled
     served.interface.arrive()
@@ -284,7 +282,7 @@ def test_a_cancelled_goal_ends_when_the_axes_have_come_to_rest(served):
     assert served.interface.cancelled == [0]
     served.run(0.5)
     assert not served.action.idle and not future.done()
-    served.interface.outcomes[0] = "cancelled"
+    served.interface.motions[0].outcome = "cancelled"
     served.run(2 * OPTIONS.period)
     assert served.action.idle
     status, code, _ = served.result(future)
@@ -315,7 +313,7 @@ def test_a_path_tolerance_violation_stops_the_motion_before_ending_the_goal(serv
     served.interface.actual_state[0] = 0.0
     served.run(0.5)
     assert not served.action.idle and served.interface.cancelled == [0]
-    served.interface.outcomes[0] = "cancelled"
+    served.interface.motions[0].outcome = "cancelled"
     served.run(2 * OPTIONS.period)
     status, code, text = served.result(future)
     assert (status, code) == (Status.STATUS_ABORTED, ErrorCode.PATH_TOLERANCE_VIOLATED)
@@ -341,7 +339,7 @@ def test_a_goal_not_reached_in_time_is_aborted(served):
 
 def test_a_given_up_motion_aborts_its_goal_with_the_reason(served):
     _, future = served.send_accepted_goal(goal_of(served.action_type))
-    served.interface.outcomes[0] = "given up: emergency_stop is true"
+    served.interface.motions[0].outcome = "given up: emergency_stop is true"
     served.run(2 * OPTIONS.period)
     status, code, text = served.result(future)
     assert (status, code) == (Status.STATUS_ABORTED, ErrorCode.INVALID_GOAL)
@@ -416,7 +414,7 @@ def test_both_executors_of_a_node_serve_goals(action_type, executor):
             feedback.clear()
         handle = wait(client.send_goal_async(goal_of(action_type)))
         assert len(wait(handle.cancel_goal_async()).goals_canceling) == 1
-        interface.outcomes[-1] = "cancelled"
+        interface.motions[-1].outcome = "cancelled"
         assert wait(handle.get_result_async()).status == Status.STATUS_CANCELED
         assert interface.cancelled == [2]
     finally:
