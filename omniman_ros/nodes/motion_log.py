@@ -97,6 +97,7 @@ class MotionLog:
 
     Attributes:
         driven: Motion under way, if any.
+        is_paused: Whether it is paused.
         event: Latest event.
         text: The latest event in words.
         is_trouble: Whether the diagnostics warn of the latest event.
@@ -110,7 +111,7 @@ class MotionLog:
         self.is_trouble, self.order = False, 0
         self.counts: Counter[MotionEvent] = Counter()
         self.driven: LoggedMotion | None = None
-        self._is_paused = False
+        self.is_paused = False
 
     def receive(
         self, request: str, kind: MotionKind | None = None, *, quietly: bool = False
@@ -171,15 +172,20 @@ class MotionLog:
         """Record that a motion, described by a text, is under way in place of the last one."""
         if self.driven is not None:
             self.report(self.driven, MotionEvent.REPLACED)
-        self.driven, self._is_paused = motion, False
+        self.driven, self.is_paused = motion, False
         self.report(motion, MotionEvent.STARTED, text)
 
-    def note_pause(self, *, is_paused: bool, reason: str = "") -> None:
-        """Record whether the motion under way is paused; the node gives a reason if it does it."""
-        if self.driven is not None and is_paused != self._is_paused:
-            self._is_paused = is_paused
-            event = MotionEvent.PAUSED if is_paused else MotionEvent.RESUMED
-            self.report(self.driven, event, reason)
+    def pause(self, reason: str = "") -> None:
+        """Record that the motion under way is paused; the node gives a reason if it does it."""
+        if self.driven is not None:
+            self.is_paused = True
+            self.report(self.driven, MotionEvent.PAUSED, reason)
+
+    def resume(self) -> None:
+        """Record that the motion under way goes on, if it was paused."""
+        if self.driven is not None and self.is_paused:
+            self.is_paused = False
+            self.report(self.driven, MotionEvent.RESUMED)
 
     def end(self, event: MotionEvent, reason: str = "") -> None:
         """Record the end of the motion under way, if there is one."""

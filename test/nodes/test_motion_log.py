@@ -69,17 +69,17 @@ def test_a_new_motion_replaces_the_one_under_way(node):
 
 
 def test_a_pause_is_told_once_and_only_of_a_motion_under_way(node):
-    node.path.note_pause(is_paused=True)
+    node.path.pause()
     node.driven("a")
-    for is_paused in (False, True, True, False, False):
-        node.path.note_pause(is_paused=is_paused)
+    for tell in (node.path.resume, *[node.path.pause] * 2, *[node.path.resume] * 2):
+        tell()
     assert node.told == {"a": [*AT_ONCE, MotionEvent.PAUSED, MotionEvent.RESUMED]}
 
 
 @pytest.mark.parametrize(("reason", "is_trouble"), [("", False), ("no odom", True)])
 def test_a_pause_is_trouble_if_the_node_has_a_reason_for_it(node, reason, is_trouble):
     node.driven("a")
-    node.path.note_pause(is_paused=True, reason=reason)
+    node.path.pause(reason)
     assert node.path.is_trouble is is_trouble
 
 

@@ -100,8 +100,8 @@ def test_the_path_is_given_up_with_the_reason_when_it_waits_in_vain():
         world.lead()
         world.is_source_silent = False
         world.run_to_motion_end(20.0)
-        assert "given up: it waited in vain: " in world.body.status.text
-        assert "no room beside obstacle" in world.body.status.text
+        assert "given up: it waited in vain: " in world.body.log.text
+        assert "no room beside obstacle" in world.body.log.text
         world.run(0.5)
         assert world.preview(-1).end_speed == 0.0 and world.gap > 0.02
 
@@ -142,7 +142,7 @@ def test_a_silent_source_of_obstacles_brings_the_robot_to_rest_until_it_is_heard
         assert "obstacles" in world.status().message
         world.is_source_silent = False
         world.run_to_motion_end(40.0)
-        assert world.body.status.text == "arrived" and world.gap > 0.02
+        assert world.body.log.text == "arrived" and world.gap > 0.02
 
 
 def test_pause_resume_and_cancel_keep_the_tool_on_its_path(world):
@@ -160,7 +160,7 @@ def test_pause_resume_and_cancel_keep_the_tool_on_its_path(world):
     assert world.tool_references[-1].pose.position.x > here + 0.05
     assert world.call_service("cancel").success
     world.run_to_motion_end(2.0)
-    assert world.body.status.text == "cancelled"
+    assert world.body.log.text == "cancelled"
     assert world.tool_errors().max() < 1e-4
     assert not world.call_service("resume").success
 
@@ -182,7 +182,7 @@ def test_a_held_tool_stays_until_cancel_while_the_body_gives_way():
         assert not refused.success and "~/cancel ends it" in refused.message
         assert world.call_service("cancel").success
         world.run_to_motion_end(2.0)
-        assert world.body.status.text == "cancelled"
+        assert world.body.log.text == "cancelled"
 
 
 @pytest.mark.exhaustive
@@ -208,7 +208,7 @@ def test_a_platform_that_is_far_off_its_path_ends_it(world):
     world.run(1.0)
     world.platform_error = lambda time: np.array([0.0, 0.06, 0.0])
     world.run_to_motion_end(1.0)
-    assert "off its path" in world.body.status.text
+    assert "off its path" in world.body.log.text
 
 
 @pytest.mark.parametrize("source", [exhaustive("stop"), "cmd_vel", exhaustive("mpc")])
@@ -218,7 +218,7 @@ def test_who_takes_the_platform_ends_the_path_for_good(world, source):
     world.follows_stream = False
     world.publish_source(source)
     world.run_to_motion_end(0.5)
-    assert "given up" in world.body.status.text
+    assert "given up" in world.body.log.text
     count = len(world.references)
     world.publish_source("none")
     world.run(3.0)
@@ -231,10 +231,10 @@ def test_an_emergency_stop_ends_the_path_and_refuses_another(world):
     button = world.publisher(Bool, "emergency_stop", LATCHED)
     button.publish(Bool(data=True))
     world.run_to_motion_end(0.5)
-    assert "emergency_stop is true" in world.body.status.text
+    assert "emergency_stop is true" in world.body.log.text
     world.send_tool(AHEAD)
     world.wait_for_plan()
-    assert world.body.idle and "emergency_stop" in world.node.motions.tool.status.text
+    assert world.body.idle and "emergency_stop" in world.node.motions.tool.log.text
 
 
 @pytest.mark.exhaustive
@@ -243,7 +243,7 @@ def test_silent_odometry_rests_the_robot_and_ends_the_path(world):
     world.run(1.0)
     world.odometry = None
     world.run_to_motion_end(1.0)
-    assert "no odom" in world.body.status.text
+    assert "no odom" in world.body.log.text
 
 
 REFUSED = {

@@ -108,7 +108,7 @@ class PlannerLoop:
         self.silence = ""
         now = self._node.now()
         self._planner.pause(now)
-        self.goals.note_pause(is_paused=True)
+        self.goals.pause()
         self._publisher.send(now)
         return ""
 
@@ -117,7 +117,7 @@ class PlannerLoop:
         measured = self._sensors.measured
         if measured is None or not self._planner.resume(measured):
             return f"nothing to resume: {self._planner.state.value}"
-        self.goals.note_pause(is_paused=False)
+        self.goals.resume()
         return ""
 
     def cancel(self) -> str:
@@ -205,12 +205,12 @@ class PlannerLoop:
             if not self.silence:
                 planner.brake(now)
             self.silence = silence
-            self.goals.note_pause(is_paused=True, reason=silence)
+            self.goals.pause(silence)
             self._node.warn("silent", f"the robot stops: {silence}")
             self._publisher.send(now)
             return
         self.silence = ""
-        self.goals.note_pause(is_paused=False)
+        self.goals.resume()
         self._anchor.update(now, obstacles)
         proposal = planner.propose(now, measured, obstacles)
         done = self._node.now()

@@ -103,10 +103,10 @@ class DrivenMotion(Interpolator, Protocol):
 
 def note_pause(log: MotionLog, state: PathState, reason: str = "") -> None:
     """Record whether the motion under way is paused; a reason says why the node has done it."""
-    if state in (PathState.PAUSING, PathState.PAUSED):
-        log.note_pause(is_paused=True, reason=reason)
-    elif state is PathState.FOLLOWING:
-        log.note_pause(is_paused=False)
+    if state is PathState.FOLLOWING:
+        log.resume()
+    elif state in (PathState.PAUSING, PathState.PAUSED) and not log.is_paused:
+        log.pause(reason)
 
 
 class MotionInterface:
