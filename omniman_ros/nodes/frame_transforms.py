@@ -19,7 +19,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 M = TypeVar("M")
 
-MOST_WAITING = 50  #: Largest number of messages of a topic that wait; the oldest ones are dropped
+MOST_WAITING = 50  #: Largest number of messages of a topic that wait; the oldest wait no more
 #: Period at which messages that wait for transforms are looked at, if none arrive [s]
 RETRY_PERIOD = 0.05
 
@@ -42,13 +42,15 @@ class MessageFilter:
     ) -> None:
         self._headers, self._is_awaited, self._give_up = headers, is_awaited, give_up
         self._handle_now, self._handle_later = handle_now, handle_later
-        self._waiting: deque[tuple[float, Any]] = deque(maxlen=MOST_WAITING)
+        self._waiting: deque[tuple[float, Any]] = deque()
 
     def handle(self, message: Any, now: float) -> str | None:
         """Handle a message that arrives at `now` [s]; return None if it waits."""
         if not self._waiting and self._is_ready(self._headers(message)):
             return self._handle_now(message)
         self._waiting.append((now, message))
+        if len(self._waiting) > MOST_WAITING:
+            self._handle_later(self._waiting.popleft()[1])
         return None
 
     def retry(self, now: float, max_wait: float) -> None:
@@ -206,6 +208,11 @@ class FrameTransforms:
         waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
         self._filters.append(waiting)
         return lambda message: waiting.handle(message, self._node.now())
+
+    def end_waiting(self) -> None:
+        """Hand on the messages that wait, because the node ends."""
+        for waiting in self._filters:
+            waiting.retry(self._node.now(), 0.0)
 
     def _retry(self) -> None:
         for waiting in self._filters:

@@ -150,6 +150,7 @@ class MpcPlannerNode(OmnimanNode):
     def begin_shutdown(self, reason: str) -> None:
         """Bring the robot to rest, and accept no other goal."""
         self.loop.begin_shutdown()
+        self.frames.end_waiting()
 
     @property
     def finished(self) -> bool:

@@ -209,6 +209,7 @@ class MotionCoordinator:
     def begin_shutdown(self) -> None:
         """Bring all motions to rest on their paths, and accept nothing new."""
         self.is_ending = True
+        self.context.frames.end_waiting()
         for motion in self._startable.values():
             motion.discard_pending()
         if not self.context.time_base.idle:

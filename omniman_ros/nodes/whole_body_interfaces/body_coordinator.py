@@ -294,6 +294,7 @@ class BodyCoordinator:
     def begin_shutdown(self) -> None:
         """Bring the robot to rest on its path, and accept nothing new."""
         self.is_ending = True
+        self.context.frames.end_waiting()
         self.tool.discard_pending()
         if not self.context.time_base.idle:
             self.context.time_base.cancel()

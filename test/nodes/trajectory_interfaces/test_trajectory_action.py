@@ -242,6 +242,13 @@ def test_an_invalid_goal_is_rejected_with_a_warning(served, reason, spoil):
     assert len(warnings) == 1 and reason in warnings[0], warnings
 
 
+def test_a_goal_whose_points_have_no_times_may_have_a_stamp_that_has_just_passed(served):
+    goal = goal_of(served.action_type)
+    goal.trajectory.header.stamp = served.stamp(-0.03)
+    goal.trajectory.points[-1].time_from_start = Duration()
+    served.send_accepted_goal(goal)
+
+
 def component() -> Any:
     from control_msgs.msg import JointComponentTolerance
 
