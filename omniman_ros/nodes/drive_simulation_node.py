@@ -8,7 +8,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
@@ -65,15 +64,11 @@ class DriveReportPublisher:
         self._states = node.create_publisher(JointState, "wheel_states", 5)
         self._electrical = node.create_publisher(Float64MultiArray, "wheel_electrical", 10)
         self._truth = node.create_publisher(Odometry, "ground_truth/odom", 10)
+        node.final_publishers.append(self._truth)  # its last message says that the robot rests
         world_frame, base_frame = frames
         self._truth_message = Odometry(child_frame_id=base_frame)
         self._truth_message.header.frame_id = world_frame
         self._count = 0
-
-    @property
-    def truth_publisher(self) -> Publisher:
-        """Publisher of the ground truth."""
-        return self._truth
 
     def publish_truth_with_every_report(self) -> None:
         """Publish the ground truth with every report from now on, the last one included."""
@@ -287,8 +282,3 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         """How long the ramp to rest may take [s], with a margin of 1 s."""
         speed = float(np.abs(self.drives.wheel_states(self.now()).velocity).max())
         return 1.0 + speed / self.settings.value.simulation.firmware.quick_stop_deceleration
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publisher of the ground truth, whose last message tells that the robot is at rest."""
-        return (self._reports.truth_publisher,)

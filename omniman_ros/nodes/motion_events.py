@@ -4,11 +4,10 @@ from itertools import count
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from omniman_ros.conversions.headers import Stamp
 from omniman_ros.nodes.motion_log import (
     LoggedMotion,
     MotionEvent,
-    MotionKind,
+    MotionInput,
     MotionLog,
     is_trouble,
 )
@@ -16,14 +15,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 
 TOPIC = "motion_events"
-UNSTAMPED = "0.000000000"  #: Request of a message without a stamp, and of a request by a service
-
 _LOGGED = (MotionEvent.STARTED, MotionEvent.CANCELLED, MotionEvent.ARRIVED)
-
-
-def request_of(stamp: Stamp) -> str:
-    """Return how `motion_events` names the request of a message with a stamp."""
-    return f"{stamp.sec}.{stamp.nanosec:09d}"
 
 
 class MotionEvents:
@@ -31,9 +23,10 @@ class MotionEvents:
 
     def __init__(self, node: OmnimanNode) -> None:
         self._node, self._numbers = node, count(1)
-        self.publisher = node.create_publisher(DiagnosticStatus, TOPIC, ALL_LATCHED)
+        self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, ALL_LATCHED)
+        node.final_publishers.append(self._publisher)
 
-    def log(self, kind: MotionKind) -> MotionLog:
+    def log(self, kind: MotionInput) -> MotionLog:
         """Return a log whose events are published."""
         return MotionLog(kind, self._numbers, self._tell)
 
@@ -50,4 +43,4 @@ class MotionEvents:
             ("motion", motion.number),
             ("request", motion.request),
         ]
-        self.publisher.publish(self._node.status_message(level, reason, values))
+        self._publisher.publish(self._node.status_message(level, reason, values))

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import count
 
+from omniman_ros.conversions.headers import Stamp
 from omniman_ros.core.errors import InputError
 
 
-class MotionKind(Enum):
+class MotionInput(Enum):
     """Input of a motion, and what a motion of this input is called."""
 
     GOAL = ("goal", "goal")
@@ -39,21 +40,10 @@ class MotionEvent(Enum):
     CANCELLED = "cancelled"  #: It was discarded, and the robot has come to rest
     ARRIVED = "arrived"  #: The robot is at rest at its end
 
-    @property
-    def is_end(self) -> bool:
-        """Whether nothing more happens to the motion."""
-        return self in _ENDS
 
-
-_ENDS = frozenset(
-    (
-        MotionEvent.REFUSED,
-        MotionEvent.REPLACED,
-        MotionEvent.GIVEN_UP,
-        MotionEvent.CANCELLED,
-        MotionEvent.ARRIVED,
-    )
-)
+_TROUBLE = ("waiting", "refused", "given_up")  #: Events to warn of
+#: Events after which nothing more happens to a motion
+_ENDS = ("refused", "replaced", "given_up", "cancelled", "arrived")
 #: Sentences of events that need more words than their reason
 _SENTENCES = {
     MotionEvent.WAITING: "a {label} is waiting: {reason}",
@@ -70,7 +60,7 @@ class LoggedMotion:
     """A motion, from its request to its end."""
 
     log: "MotionLog"  #: Log of the interface that received it
-    kind: MotionKind
+    kind: MotionInput
     request: str  #: Stamp of the request: seconds, a point, and nine digits of nanoseconds
     number: int = 0  #: Number in its node; 0 until the motion is told of
     #: Why it ended, empty if it arrived; None while it has not ended
@@ -84,53 +74,30 @@ Tell = Callable[[LoggedMotion, MotionEvent, str, str], None]
 
 def is_trouble(event: MotionEvent, reason: str) -> bool:
     """Return whether to warn of an event; who pauses a motion by a request gives no reason."""
-    if event is MotionEvent.PAUSED:
-        return bool(reason)
-    return event in (MotionEvent.WAITING, MotionEvent.REFUSED, MotionEvent.GIVEN_UP)
+    return event.value in _TROUBLE or (event is MotionEvent.PAUSED and bool(reason))
 
 
 class MotionLog:
-    """Events of the motions of one interface, each told once, and exactly one end of each motion.
+    """Events of one interface's motions, which have `numbers`; each has exactly one end."""
 
-    Args:
-        numbers: Numbers of the node's motions.
-
-    Attributes:
-        driven: Motion under way, if any.
-        is_paused: Whether it is paused.
-        event: Latest event.
-        text: The latest event in words.
-        is_trouble: Whether the diagnostics warn of the latest event.
-        order: Grows with each event of any log; 0 before the first event of this one.
-        counts: Number of motions by their events.
-    """
-
-    def __init__(self, kind: MotionKind, numbers: "count[int]", tell: Tell) -> None:
+    def __init__(self, kind: MotionInput, numbers: "count[int]", tell: Tell) -> None:
         self._kind, self._numbers, self._tell = kind, numbers, tell
+        #: Latest event, and the same in words
         self.event, self.text = MotionEvent.NONE, f"no {kind.label} yet"
-        self.is_trouble, self.order = False, 0
-        self.counts: Counter[MotionEvent] = Counter()
-        self.driven: LoggedMotion | None = None
-        self.is_paused = False
+        self.is_trouble = False  #: Whether the diagnostics warn of the latest event
+        self.order = 0  #: Grows with each event of any log; 0 before the first of this one
+        self.counts: Counter[MotionEvent] = Counter()  #: Number of motions by their events
+        self.driven: LoggedMotion | None = None  #: Motion under way
 
     def receive(
-        self, request: str, kind: MotionKind | None = None, *, quietly: bool = False
+        self, stamp: Stamp, kind: MotionInput | None = None, *, quietly: bool = False
     ) -> LoggedMotion:
-        """Return a motion that was asked for.
-
-        Args:
-            request: Stamp of the request, see :class:`LoggedMotion`.
-            kind: Input of the motion if it is another one than the log's.
-            quietly: Whether to tell of the motion only if it is not refused.
-        """
+        """Return what a message asks for; clients are told `quietly` of a motion that is used."""
+        request = f"{stamp.sec}.{stamp.nanosec:09d}"
         motion = LoggedMotion(self, kind or self._kind, request)
         if not quietly:
-            self._introduce(motion)
+            self.report(motion, MotionEvent.RECEIVED)
         return motion
-
-    def _introduce(self, motion: LoggedMotion) -> None:
-        motion.number = next(self._numbers)
-        self.report(motion, MotionEvent.RECEIVED)
 
     def report(self, motion: LoggedMotion, event: MotionEvent, reason: str = "") -> None:
         """Record what happens to a motion; nothing happens to one that has ended.
@@ -140,15 +107,18 @@ class MotionLog:
         if motion.outcome is not None:
             return
         if not motion.number and event is not MotionEvent.REFUSED:
-            self._introduce(motion)
+            motion.number = next(self._numbers)
+            self.report(motion, MotionEvent.RECEIVED)
         form = _SENTENCES.get(event, "{reason}" if reason else event.value)
         text = form.format(label=motion.kind.label, reason=reason)
         for log in {self, motion.log}:
-            log._show(event, text, reason)
-        if event.is_end:
-            motion.outcome = "" if event is MotionEvent.ARRIVED else text
-            if event is MotionEvent.REFUSED:
-                motion.outcome = reason
+            if (event, text) != (log.event, log.text):
+                log.event, log.text, log.order = event, text, next(_order)
+            log.is_trouble = is_trouble(event, reason)
+        if event.value in _ENDS:
+            motion.outcome = reason if event is MotionEvent.REFUSED else text
+            if event is MotionEvent.ARRIVED:
+                motion.outcome = ""
             if motion is self.driven:
                 self.driven = None
         told, motion.told = motion.told, (event, _NUMBERS.sub("", reason))
@@ -157,11 +127,6 @@ class MotionLog:
         self.counts[event] += 1
         if motion.number:
             self._tell(motion, event, reason, text)
-
-    def _show(self, event: MotionEvent, text: str, reason: str) -> None:
-        if (event, text) != (self.event, self.text):
-            self.event, self.text, self.order = event, text, next(_order)
-        self.is_trouble = is_trouble(event, reason)
 
     def refuse(self, motion: LoggedMotion, why: str) -> InputError:
         """Record a refusal; return the error for it."""
@@ -172,22 +137,15 @@ class MotionLog:
         """Record that a motion, described by a text, is under way in place of the last one."""
         if self.driven is not None:
             self.report(self.driven, MotionEvent.REPLACED)
-        self.driven, self.is_paused = motion, False
+        self.driven = motion
         self.report(motion, MotionEvent.STARTED, text)
 
-    def pause(self, reason: str = "") -> None:
-        """Record that the motion under way is paused; the node gives a reason if it does it."""
-        if self.driven is not None:
-            self.is_paused = True
-            self.report(self.driven, MotionEvent.PAUSED, reason)
-
-    def resume(self) -> None:
-        """Record that the motion under way goes on, if it was paused."""
-        if self.driven is not None and self.is_paused:
-            self.is_paused = False
-            self.report(self.driven, MotionEvent.RESUMED)
-
-    def end(self, event: MotionEvent, reason: str = "") -> None:
-        """Record the end of the motion under way, if there is one."""
-        if self.driven is not None:
+    def note(self, event: MotionEvent, reason: str = "") -> None:
+        """Record an event of the motion under way, if there is one; only a paused one resumes."""
+        if self.driven is not None and (event is not MotionEvent.RESUMED or self.is_paused):
             self.report(self.driven, event, reason)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether the motion under way is paused."""
+        return self.driven is not None and self.driven.told[0] is MotionEvent.PAUSED

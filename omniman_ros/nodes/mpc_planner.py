@@ -4,7 +4,6 @@ import functools
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.errors import ParameterError
@@ -157,11 +156,6 @@ class MpcPlannerNode(OmnimanNode):
         """Whether there is no goal, the motion is over, and all clients have their results."""
         is_driving = self.loop.is_moving or self.loop.goals.driven
         return not is_driving and all(action.idle for action in self.actions)
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publisher of what becomes of the goals."""
-        return (self.loop.events.publisher,)
 
     @property
     def stop_timeout(self) -> float:

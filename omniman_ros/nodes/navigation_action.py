@@ -49,9 +49,6 @@ class NavigationExecutor(Protocol):
     def send(self, request: Any) -> LoggedMotion:
         """Accept a goal and return its motion; raise InputError if it is refused."""
 
-    def outcome(self, motion: LoggedMotion) -> str | None:
-        """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-
     def cancel(self, motion: LoggedMotion) -> None:
         """Bring a motion to rest, unless it has ended already."""
 
@@ -131,10 +128,9 @@ class NavigationAction:
         if goal is None:
             self._timer.cancel()  # until the next goal
             return
-        outcome = self._executor.outcome(goal.motion)
-        if outcome is not None:
+        if goal.motion.outcome is not None:
             self._goal = None
-            self._end(goal.handle, outcome)
+            self._end(goal.handle, goal.motion.outcome)
             return
         feedback = self._type.Feedback()
         if self._executor.fill_feedback(feedback):

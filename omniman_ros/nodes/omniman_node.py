@@ -31,6 +31,8 @@ class OmnimanNode(TimedNode):
         super().__init__(name, **options)
         self._throttle = Throttle(WARNING_PERIOD)
         self._repaired: set[str] = set()
+        #: Publishers whose last message must be delivered before the node ends
+        self.final_publishers: list[Publisher] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = (b"", "")
         self.foreign_types = ForeignTypes(self, self.warn)
@@ -155,8 +157,3 @@ class OmnimanNode(TimedNode):
     def stop_timeout(self) -> float:
         """How long coming to rest may take [s]."""
         return 0.0
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publishers whose last message must be delivered before the node ends."""
-        return ()

@@ -1,7 +1,6 @@
 """Node `path_interpolator`: paths and trajectories in, streams for platform and arm out."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 
 from omniman_ros.nodes.navigation_action import (
     NavigationAction,
@@ -54,11 +53,6 @@ class PathInterpolatorNode(OmnimanNode):
         return self.motions.context.time_base.idle and all(action.idle for action in self.actions)
 
     @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publisher of what becomes of the motions."""
-        return (self.motions.context.events.publisher,)
-
-    @property
     def stop_timeout(self) -> float:
         """How long the motions may take to come to rest from now on [s], with a margin of 1 s."""
         remaining = self.motions.context.time_base.remaining()
@@ -90,14 +84,10 @@ class PathInterpolatorNode(OmnimanNode):
             ("event", path.log.event.value),
             ("last", path.log.text),
         ]
-        idle_by_log = {
-            interface.log: interface.idle
-            for interface in (path, motions.arm, motions.whole_body, motions.tool)
-            if interface is not None
-        }
-        latest = max(idle_by_log, key=lambda log: log.order)
-        if latest.is_trouble and idle_by_log[latest]:
-            return DiagnosticStatus.WARN, latest.text, values
+        takers = [it for it in (path, motions.arm, motions.whole_body, motions.tool) if it]
+        latest = max(takers, key=lambda interface: interface.log.order)
+        if latest.log.is_trouble and latest.idle:
+            return DiagnosticStatus.WARN, latest.log.text, values
         return DiagnosticStatus.OK, time_base.state.value, values
 
 

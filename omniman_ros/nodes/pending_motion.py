@@ -5,27 +5,27 @@ from collections.abc import Callable
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionLog
+from omniman_ros.nodes.omniman_node import OmnimanNode
 
 
 class PendingMotion:
     """Has at most one accepted motion wait, and tells the log what becomes of it.
 
-    Args:
-        refusal: Returns why no motion may start, or an empty string.
-        blocking_reason: Returns why a motion must wait, or an empty string.
+    A `conflict` refuses a motion at once; for a `blocking_reason` it waits.
     """
 
     def __init__(
         self,
-        clock: Callable[[], float],
+        node: OmnimanNode,
         monitor: StreamMonitor,
         log: MotionLog,
-        refusal: Callable[[], str],
         blocking_reason: Callable[[], str],
+        conflict: Callable[[], str],
     ) -> None:
-        self._log, self._refusal, self._blocking_reason = log, refusal, blocking_reason
-        self._pending = PendingStart(clock, monitor)
-        self._motion: LoggedMotion | None = None
+        self._monitor, self._log = monitor, log
+        self._blocking_reason, self._conflict = blocking_reason, conflict
+        self._pending = PendingStart(node.now, monitor)
+        self.motion: LoggedMotion | None = None  #: The motion that waits
 
     def __bool__(self) -> bool:
         return bool(self._pending)
@@ -33,32 +33,28 @@ class PendingMotion:
     def accept(self, motion: LoggedMotion, start: Callable[[], None]) -> str:
         """Accept a motion in place of the one that waits; start it, return or raise why not."""
         self.discard(MotionEvent.REPLACED)
-        self._motion = motion
+        self.motion = motion
         self._pending.put(start)
         return self.start()
 
     def start(self) -> str:
         """Start the motion that waits if possible; return why it is refused, or ""."""
-        motion = self._motion
-        attempt = self._pending.attempt(self._refusal(), self._blocking_reason)
-        if motion is not None and attempt.state is StartState.WAITING:
-            self._log.report(motion, MotionEvent.WAITING, attempt.reason)
+        refusal = self._monitor.blocking_reason or self._conflict()
+        attempt = self._pending.attempt(refusal, self._blocking_reason)
+        if self.motion is not None and attempt.state is StartState.WAITING:
+            self._log.report(self.motion, MotionEvent.WAITING, attempt.reason)
+            return ""
+        motion, self.motion = self.motion, None
         if motion is not None and attempt.refusal:
             self._log.refuse(motion, attempt.refusal)
         return attempt.refusal
 
-    def discard(
-        self,
-        event: MotionEvent = MotionEvent.CANCELLED,
-        motion: LoggedMotion | None = None,
-    ) -> bool:
-        """Discard the motion that waits, any or only this one, and return whether there was it."""
-        if motion is not None and motion is not self._motion:
-            return False
-        discarded = self._pending.discard()
-        if discarded and self._motion is not None:
-            self._log.report(self._motion, event)
-        return discarded
+    def discard(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
+        """Discard the motion that waits, and return whether there was one."""
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            self._log.report(motion, event)
+        return self._pending.discard()
 
     def restart_timeout(self) -> None:
         """Let the motion wait for the whole timeout from now on."""

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -180,11 +179,6 @@ class PlatformControllerNode(OmnimanNode):
     def stop_timeout(self) -> float:
         """How long the platform may take to come to rest from now on [s], with a margin of 1 s."""
         return 1.0 + ratio(self.core.setpoint, self.core.limits.deceleration)
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publishers of the commands: the last ones are zero."""
-        return self._outputs.command_publishers
 
 
 def main(args: list[str] | None = None) -> int:

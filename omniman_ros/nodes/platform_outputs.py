@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
@@ -52,6 +51,7 @@ class PlatformOutputs:
         self._names = core.parameters.robot.wheels.names
         self._commands = node.create_publisher(JointState, "wheel_commands", SETPOINT)
         self._voltages = node.create_publisher(JointState, "wheel_voltages", SETPOINT)
+        node.final_publishers += [self._commands, self._voltages]  # the last ones are zero
         self._active_source = node.create_publisher(String, "active_source", LATCHED)
         self._health = node.create_publisher(DiagnosticStatus, "wheel_health", LATCHED)
         self._margin = node.create_publisher(Float64, "tip_over_margin", 10)
@@ -62,11 +62,6 @@ class PlatformOutputs:
         self._velocity_template = self._command_template(velocity=marks(n), effort=marks(n, n))
         self.active = ""
         self._published_health: object = None
-
-    @property
-    def command_publishers(self) -> tuple[Publisher, Publisher]:
-        """Publishers of the commands to the drives."""
-        return self._commands, self._voltages
 
     def _command_template(self, **fields: list[float]) -> MessageTemplate:
         message = JointState(name=list(self._names), **fields)

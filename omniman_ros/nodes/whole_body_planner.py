@@ -1,7 +1,6 @@
 """Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 
 from omniman_ros.extras import PLANNING
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -45,11 +44,6 @@ class WholeBodyPlannerNode(OmnimanNode):
     def finished(self) -> bool:
         """Whether no motion is under way."""
         return self.motions.context.time_base.idle
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publisher of what becomes of the motions."""
-        return (self.motions.context.events.publisher,)
 
     @property
     def stop_timeout(self) -> float:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.publisher import Publisher
 
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.description.urdf import carries_arm
@@ -153,11 +152,6 @@ class ViewerNode(OmnimanNode):
     def stop_timeout(self) -> float:
         """Time within which the final zero twists are sent [s]."""
         return 1.0
-
-    @property
-    def final_publishers(self) -> tuple[Publisher, ...]:
-        """Publishers whose last message deletes the obstacles."""
-        return self._obstacles.publishers
 
     def destroy_node(self) -> None:
         """Close the page, then destroy the node."""

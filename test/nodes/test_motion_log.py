@@ -4,13 +4,19 @@ from itertools import count
 
 import pytest
 
+from omniman_ros.conversions.headers import SerializedStamp
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind, MotionLog
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput, MotionLog
 from omniman_ros.nodes.pending_motion import PendingMotion
 
 AT_ONCE = [MotionEvent.RECEIVED, MotionEvent.STARTED]
+
+
+def stamp(request: str) -> SerializedStamp:
+    """Return a stamp of the request that a letter names."""
+    return SerializedStamp(ord(request), 5)
 
 
 class Node:
@@ -20,15 +26,16 @@ class Node:
         self.told: dict[str, list[MotionEvent]] = {}
         self.reasons: list[str] = []
         numbers = count(1)
-        self.path = MotionLog(MotionKind.PATH, numbers, self._tell)
-        self.tool = MotionLog(MotionKind.TOOL_PATH, numbers, self._tell)
+        self.path = MotionLog(MotionInput.PATH, numbers, self._tell)
+        self.tool = MotionLog(MotionInput.TOOL_PATH, numbers, self._tell)
 
     def _tell(self, motion: LoggedMotion, event: MotionEvent, reason: str, text: str) -> None:
-        self.told.setdefault(motion.request, []).append(event)
+        name = chr(int(motion.request.partition(".")[0]))
+        self.told.setdefault(name, []).append(event)
         self.reasons.append(reason)
 
     def driven(self, request: str) -> LoggedMotion:
-        motion = self.path.receive(request)
+        motion = self.path.receive(stamp(request))
         self.path.start(motion, "2 poses")
         return motion
 
@@ -50,16 +57,20 @@ def test_a_motion_has_one_end_which_is_its_outcome(node, event, outcome):
     motion = node.driven("a")
     assert motion.outcome is None and node.path.text == "2 poses"
     reason = "no odom" if event is MotionEvent.GIVEN_UP else ""
-    node.path.end(event, reason)
-    node.path.end(MotionEvent.CANCELLED)
+    node.path.note(event, reason)
+    node.path.note(MotionEvent.CANCELLED)
     node.path.report(motion, MotionEvent.ARRIVED)
     assert motion.outcome == outcome and node.path.text == (outcome or "arrived")
     assert node.told == {"a": [*AT_ONCE, event]} and node.path.driven is None
 
 
+def test_a_request_is_named_by_its_stamp_with_nine_digits_of_nanoseconds(node):
+    assert node.path.receive(SerializedStamp(97, 123)).request == "97.000000123"
+
+
 def test_motions_of_all_interfaces_have_numbers_of_their_own(node):
     logs = node.path, node.tool, node.path
-    assert [log.receive("a").number for log in logs] == [1, 2, 3]
+    assert [log.receive(stamp("a")).number for log in logs] == [1, 2, 3]
 
 
 def test_a_new_motion_replaces_the_one_under_way(node):
@@ -69,22 +80,23 @@ def test_a_new_motion_replaces_the_one_under_way(node):
 
 
 def test_a_pause_is_told_once_and_only_of_a_motion_under_way(node):
-    node.path.pause()
+    paused, resumed = MotionEvent.PAUSED, MotionEvent.RESUMED
+    node.path.note(paused)
     node.driven("a")
-    for tell in (node.path.resume, *[node.path.pause] * 2, *[node.path.resume] * 2):
-        tell()
-    assert node.told == {"a": [*AT_ONCE, MotionEvent.PAUSED, MotionEvent.RESUMED]}
+    for event in (resumed, paused, paused, resumed, resumed):
+        node.path.note(event)
+    assert node.told == {"a": [*AT_ONCE, paused, resumed]}
 
 
 @pytest.mark.parametrize(("reason", "is_trouble"), [("", False), ("no odom", True)])
 def test_a_pause_is_trouble_if_the_node_has_a_reason_for_it(node, reason, is_trouble):
     node.driven("a")
-    node.path.pause(reason)
+    node.path.note(MotionEvent.PAUSED, reason)
     assert node.path.is_trouble is is_trouble
 
 
 def test_a_reason_is_told_again_only_if_more_than_its_numbers_changes(node):
-    motion = node.path.receive("a")
+    motion = node.path.receive(stamp("a"))
     for reason in ("odom is 0.31 s old", "odom is 0.35 s old", "the robot moves"):
         node.path.report(motion, MotionEvent.WAITING, reason)
     assert node.reasons == ["", "odom is 0.31 s old", "the robot moves"]
@@ -92,16 +104,16 @@ def test_a_reason_is_told_again_only_if_more_than_its_numbers_changes(node):
 
 
 def test_a_motion_that_another_interface_drives_is_shown_in_both_logs(node):
-    motion = node.tool.receive("a")
+    motion = node.tool.receive(stamp("a"))
     node.path.start(motion, "1 m of the tool")
-    node.path.end(MotionEvent.ARRIVED)
+    node.path.note(MotionEvent.ARRIVED)
     assert node.tool.event is node.path.event is MotionEvent.ARRIVED
     assert node.told == {"a": [*AT_ONCE, MotionEvent.ARRIVED]}
 
 
 def test_of_a_quiet_request_nothing_is_told_unless_it_is_used(node):
-    node.path.refuse(node.path.receive("a", quietly=True), "no odom")
-    node.path.start(node.path.receive("b", quietly=True))
+    node.path.refuse(node.path.receive(stamp("a"), quietly=True), "no odom")
+    node.path.start(node.path.receive(stamp("b"), quietly=True))
     assert node.told == {"b": AT_ONCE}
 
 
@@ -111,18 +123,19 @@ class Waiting:
     def __init__(self, node: Node) -> None:
         self.refusal = self.reason = ""
         self.time = 0.0
+        monitor = StreamMonitor(0.5)
+        monitor.update_source("none")
         self.started: list[str] = []
         self.node = node
         self.pending = PendingMotion(
-            lambda: self.time,
-            StreamMonitor(0.5),
-            node.path,
-            lambda: self.refusal,
-            lambda: self.reason,
+            self, monitor, node.path, lambda: self.reason, conflict=lambda: self.refusal
         )
 
+    def now(self) -> float:
+        return self.time
+
     def accept(self, name: str) -> str:
-        motion = self.node.path.receive(name)
+        motion = self.node.path.receive(stamp(name))
         return self.pending.accept(motion, lambda: self.started.append(name))
 
 
@@ -159,7 +172,7 @@ def test_a_motion_that_cannot_be_driven_is_refused(node, waiting):
     def start() -> None:
         raise InputError("too far")
 
-    motion = node.path.receive("a")
+    motion = node.path.receive(stamp("a"))
     assert waiting.pending.accept(motion, start) == motion.outcome == "too far"
 
 

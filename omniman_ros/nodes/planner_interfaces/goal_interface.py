@@ -17,7 +17,6 @@ from omniman_ros.conversions.poses import (
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.motion_events import request_of
 from omniman_ros.nodes.motion_log import LoggedMotion
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -29,9 +28,6 @@ from omniman_ros.planning.goals import Goal, PoseGoal, TrajectoryGoal, goal_of_s
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
-
-
-ReceivedGoal = tuple[LoggedMotion, Any]  #: A goal in the log, and its message
 
 
 class GoalInterface:
@@ -58,16 +54,15 @@ class GoalInterface:
 
     def submit_pose(self, message: PoseStamped) -> LoggedMotion:
         """Submit a pose to come to rest at; raise InputError if it is refused."""
-        motion = self._loop.goals.receive(request_of(message.header.stamp))
-        refusal = self._submit(self._pose_goal, (motion, message))
-        if refusal:
+        motion = self._loop.goals.receive(message.header.stamp)
+        if refusal := self._submit(self._pose_goal, (motion, message)):
             raise InputError(refusal)
         return motion
 
-    def _receive(self, handler: Callable[[ReceivedGoal], str | None], message: Any) -> str | None:
-        return handler((self._loop.goals.receive(request_of(message.header.stamp)), message))
+    def _receive(self, handler: Callable[[Any], str | None], message: Any) -> str | None:
+        return handler((self._loop.goals.receive(message.header.stamp), message))
 
-    def _submit(self, convert: Callable[[Any], Goal], received: ReceivedGoal) -> str:
+    def _submit(self, convert: Callable[[Any], Goal], received: tuple[LoggedMotion, Any]) -> str:
         motion, message = received
         return self._loop.submit(motion, lambda: self._placed(message, convert))
 
@@ -125,10 +120,6 @@ class GoalExecutor:
         if request.behavior_tree:
             raise InputError(f"behavior_tree must be empty, not '{request.behavior_tree}'")
         return self._goals.submit_pose(request.pose)
-
-    def outcome(self, motion: LoggedMotion) -> str | None:
-        """Return why a goal ended: empty if it was reached; None until the robot is at rest."""
-        return None if self._loop.is_braking else motion.outcome
 
     def cancel(self, motion: LoggedMotion) -> None:
         """Bring the robot to rest if it waits for this goal or drives to it."""

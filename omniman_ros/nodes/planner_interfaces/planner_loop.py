@@ -8,7 +8,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.motion_events import MotionEvents
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
@@ -27,7 +27,6 @@ class PlannerLoop:
     """Serves requests, supervises the drive, and runs one planning cycle per tick.
 
     Attributes:
-        events: Tells clients what becomes of goals.
         goals: Log of the goals.
         silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
             while the robot waits for them, or empty.
@@ -48,14 +47,9 @@ class PlannerLoop:
         self._node, self._planner, self._anchor = node, planner, anchor
         self._sensors, self._posture, self._monitor = sensors, posture, monitor
         self._publisher, self._plans = publisher, plans
-        self.events, self._is_closed = MotionEvents(node), False
-        self.goals = self.events.log(MotionKind.GOAL)
+        self.goals, self._is_closed = MotionEvents(node).log(MotionInput.GOAL), False
         self._pending = PendingMotion(
-            node.now,
-            monitor,
-            self.goals,
-            lambda: monitor.blocking_reason,
-            self._blocking_reason,
+            node, monitor, self.goals, self._blocking_reason, conflict=lambda: ""
         )
         self._end: MotionEvent | None = None  # of the goal whose motion is coming to rest
         self.silence, self.solve_time = "", math.nan
@@ -65,11 +59,6 @@ class PlannerLoop:
     def is_moving(self) -> bool:
         """Whether there is a goal to drive to, or the motion is not over."""
         return self._planner.active or self._planner.motion.end > self._node.now()
-
-    @property
-    def is_braking(self) -> bool:
-        """Whether the robot comes to rest, and there is no goal."""
-        return self.is_moving and self._planner.goal is None and not self._pending
 
     def submit(self, motion: LoggedMotion, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return or raise why it is refused."""
@@ -108,7 +97,7 @@ class PlannerLoop:
         self.silence = ""
         now = self._node.now()
         self._planner.pause(now)
-        self.goals.pause()
+        self.goals.note(MotionEvent.PAUSED)
         self._publisher.send(now)
         return ""
 
@@ -117,7 +106,7 @@ class PlannerLoop:
         measured = self._sensors.measured
         if measured is None or not self._planner.resume(measured):
             return f"nothing to resume: {self._planner.state.value}"
-        self.goals.resume()
+        self.goals.note(MotionEvent.RESUMED)
         return ""
 
     def cancel(self) -> str:
@@ -153,7 +142,7 @@ class PlannerLoop:
     def _log_given_up(self, reason: str) -> None:
         self.silence = ""
         if self._planner.goal is not None:
-            self.goals.end(MotionEvent.GIVEN_UP, reason)
+            self.goals.note(MotionEvent.GIVEN_UP, reason)
 
     def _brake_for_good(self, end: MotionEvent | None = None) -> None:
         """Bring the robot to rest without a goal, which ends so if it has not ended."""
@@ -166,7 +155,7 @@ class PlannerLoop:
     def _tell_end(self) -> None:
         """Record the end of a goal once the robot is at rest."""
         if self._end is not None and not self.is_moving:
-            self.goals.end(self._end)
+            self.goals.note(self._end)
             self._end = None
 
     def tick(self) -> None:
@@ -205,12 +194,12 @@ class PlannerLoop:
             if not self.silence:
                 planner.brake(now)
             self.silence = silence
-            self.goals.pause(silence)
+            self.goals.note(MotionEvent.PAUSED, silence)
             self._node.warn("silent", f"the robot stops: {silence}")
             self._publisher.send(now)
             return
         self.silence = ""
-        self.goals.resume()
+        self.goals.note(MotionEvent.RESUMED)
         self._anchor.update(now, obstacles)
         proposal = planner.propose(now, measured, obstacles)
         done = self._node.now()

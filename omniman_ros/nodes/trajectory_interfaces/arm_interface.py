@@ -16,7 +16,7 @@ from omniman_ros.motion.path.joint_points import JointPlanner
 from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.point_stream import PointStream
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import ArmOutput
@@ -30,7 +30,7 @@ class ArmInterface(JointInterface):
     """Trajectories of the arm, which may run next to paths of the platform."""
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core, ArmOutput(context), MotionKind.ARM)
+        super().__init__(context, core, ArmOutput(context), MotionInput.ARM)
         self._stream = PointStream()
 
     def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
@@ -66,11 +66,7 @@ class ArmInterface(JointInterface):
         return self._stream.active
 
     def follow_point(self, motion: LoggedMotion, message: JointTrajectory) -> str:
-        """Move the arm to the last point of a stream's message; return or raise why not.
-
-        Args:
-            motion: Motion of the stream if it begins with this point.
-        """
+        """Move the arm to the last point of a message, which may begin a stream, as a motion."""
         points, context = self.points(message), self._context
         target = MovingTarget.last_of(points, context.time_to(message.header.stamp))
         why = self._blocking_reason() or self._held_reason

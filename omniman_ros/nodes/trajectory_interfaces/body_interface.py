@@ -6,7 +6,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.window import Window
-from omniman_ros.nodes.motion_log import MotionKind
+from omniman_ros.nodes.motion_log import MotionInput
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import (
     DrivenMotion,
@@ -22,7 +22,7 @@ MIN_CORRECTION_PERIOD = 0.018
 class BodyInterface(MotionInterface):
     """Drives motions of the whole body; where the tool is led, the arm corrects the platform."""
 
-    def __init__(self, context: BodyContext, core: DrivenMotion, kind: MotionKind) -> None:
+    def __init__(self, context: BodyContext, core: DrivenMotion, kind: MotionInput) -> None:
         super().__init__(context, core, WholeBodyOutput(context), kind)
         self.limit_scale = 1.0
         self._tool: ToolStream | None = None

@@ -10,8 +10,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
-from omniman_ros.nodes.motion_events import request_of
 from omniman_ros.nodes.motion_log import LoggedMotion
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
 
@@ -24,6 +24,7 @@ class JointInterface(MotionInterface, ABC):
 
     _context: MotionContext
     core: JointInterpolator
+    pending: PendingMotion | None = None  #: Motion that waits, where one can
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -41,10 +42,6 @@ class JointInterface(MotionInterface, ABC):
     @abstractmethod
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (d,) of the axes; None if they are unknown."""
-
-    def discard_pending(self, motion: LoggedMotion | None = None) -> bool:
-        """Discard the motion that waits, any or only this one; return whether there was it."""
-        return False
 
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return references (d,) and their rates at the instant of :meth:`actual`, if any."""
@@ -104,12 +101,8 @@ class JointInterface(MotionInterface, ABC):
         return why
 
     def send(self, message: JointTrajectory) -> LoggedMotion:
-        """Accept the trajectory of an action's goal.
-
-        Raises:
-            InputError: The trajectory is refused; the motion under way goes on.
-        """
-        motion = self.log.receive(request_of(message.header.stamp))
+        """Accept a trajectory, or raise InputError; then the motion under way goes on."""
+        motion = self.log.receive(message.header.stamp)
         why = self.submit(motion, message, self.trajectory)
         if why:
             raise InputError(why)
@@ -117,8 +110,8 @@ class JointInterface(MotionInterface, ABC):
 
     def cancel(self, motion: LoggedMotion) -> None:
         """Discard a motion that waits, or bring the one under way to rest on its path."""
-        if self.discard_pending(motion):
-            return
-        if motion is self.log.driven:
+        if self.pending is not None and motion is self.pending.motion:
+            self.pending.discard()
+        elif motion is self.log.driven:
             self.stop()
             self._context.on_started()

@@ -78,11 +78,7 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
     self_collision: Callable[[], SelfCollisionCheck]
 
     def start_delay(self, stamp: Time) -> float | None:
-        """Return the time until a stamp [s]; None for one that means now: zero, or just passed.
-
-        Raises:
-            InputError: The stamp is far from now.
-        """
+        """Return the time until a stamp [s]; None: now; InputError if it is far from now."""
         if not is_stamped(stamp):
             return None
         delay = self.time_to(stamp)

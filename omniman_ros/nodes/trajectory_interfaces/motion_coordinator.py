@@ -6,6 +6,7 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.joints import axis_names
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.axes import AXES, JOINT_COLUMNS, PLATFORM_AXES, PLATFORM_COLUMNS
@@ -16,10 +17,11 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.motion_events import MotionEvents, request_of
-from omniman_ros.nodes.motion_log import MotionKind
+from omniman_ros.nodes.motion_events import MotionEvents
+from omniman_ros.nodes.motion_log import MotionInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.serialized import deserialized, serialized_stamp
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
@@ -62,26 +64,25 @@ class TrajectoryInput:
         )
 
     def _on_data(self, data: bytes) -> str:
-        max_points = self._context.options.joint_trajectory.max_points
-        if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
-            motion = self._arm.log.receive(request_of(serialized_stamp(data)))
-            raise self._arm.log.refuse(
-                motion, f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
-            )
-        message = deserialized(data, JointTrajectory)
-        message.joint_names = axis_names(message.joint_names)
+        max_points, log = self._context.options.joint_trajectory.max_points, self._arm.log
+        try:
+            if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
+                megabytes = f"{len(data) / 1e6:.0f} MB"
+                raise InputError(f"{megabytes}, at most {max_points} points are accepted")
+            message = deserialized(data, JointTrajectory)
+            message.joint_names = axis_names(message.joint_names)
+        except InputError as error:
+            motion = log.receive(serialized_stamp(data))
+            raise log.refuse(motion, str(error)) from error
         if not message.points:
             self._arm.stop()
-            self._whole_body.discard_pending()
+            self._whole_body.pending.discard()
             self._whole_body.stop()
             return ""
         return self._start(message)
 
     def _start(self, message: JointTrajectory) -> str:
-        """Start a trajectory; see `JointInterface.submit`.
-
-        Of a stream, only its begin is told, and the first of points that are refused.
-        """
+        """Start a trajectory; of a stream, its begin and its first refused point are told."""
         is_stream, now = self._arm.is_stream(message), self._context.node.now()
         has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
         follows = is_stream and not has_platform
@@ -89,8 +90,8 @@ class TrajectoryInput:
         interface = self._arm if is_for_arm else self._whole_body
         was_refused = now - self._refused_at <= self._context.options.restart
         motion = interface.log.receive(
-            request_of(message.header.stamp),
-            MotionKind.BODY if has_platform else MotionKind.ARM,
+            message.header.stamp,
+            MotionInput.BODY if has_platform else MotionInput.ARM,
             quietly=is_stream and (was_refused or (follows and self._arm.is_streaming)),
         )
         start = self._arm.follow_point if follows else interface.trajectory
@@ -150,8 +151,8 @@ class MotionCoordinator:
         self.arm = ArmInterface(self.context, arm)
         self.whole_body = WholeBodyInterface(self.context, whole_body)
         TrajectoryInput(self.context, self.arm, self.whole_body)
-        self._startable: dict[str, PathInterface | WholeBodyInterface | ToolInterface[ToolPlan]]
-        self._startable = {"path": self.path, "trajectory": self.whole_body}
+        self._startable: dict[str, PendingMotion | ToolInterface[ToolPlan]]
+        self._startable = {"path": self.path.pending, "trajectory": self.whole_body.pending}
         self.tool = planned_tool_paths(self.context, self.whole_body)
         self._startable |= {} if self.tool is None else {"tool path": self.tool}
         HealthInput(self.context, self._scale_limits)
@@ -202,7 +203,7 @@ class MotionCoordinator:
 
     def cancel(self) -> None:
         """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
-        discarded = [motion for motion in self._startable.values() if motion.discard_pending()]
+        discarded = [motion for motion in self._startable.values() if motion.discard()]
         if not self.context.time_base.idle or not discarded:
             self.context.time_base.cancel()
 
@@ -211,7 +212,7 @@ class MotionCoordinator:
         self.is_ending = True
         self.context.frames.end_waiting()
         for motion in self._startable.values():
-            motion.discard_pending()
+            motion.discard()
         if not self.context.time_base.idle:
             self.context.time_base.cancel()
             self.tick()
@@ -222,10 +223,10 @@ class MotionCoordinator:
         self._supervisor.check_time(since_tick)
         if since_tick < -TIME_JUMP:
             for motion in self._startable.values():
-                motion.pending.restart_timeout()
+                motion.restart_timeout()
         self._supervisor.check_control()
         for kind, motion in self._startable.items():
-            if refusal := motion.start_pending():
+            if refusal := motion.start():
                 self._node.warn(f"{kind} refused", f"{kind} not used: {refusal}")
         time_base = self.context.time_base
         if time_base.idle:

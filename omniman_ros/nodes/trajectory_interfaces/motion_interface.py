@@ -9,7 +9,7 @@ from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.pace import Pace
 from omniman_ros.motion.path.window import Window, paced_window
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind, MotionLog
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput, MotionLog
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import Interpolator
 
@@ -104,9 +104,9 @@ class DrivenMotion(Interpolator, Protocol):
 def note_pause(log: MotionLog, state: PathState, reason: str = "") -> None:
     """Record whether the motion under way is paused; a reason says why the node has done it."""
     if state is PathState.FOLLOWING:
-        log.resume()
+        log.note(MotionEvent.RESUMED)
     elif state in (PathState.PAUSING, PathState.PAUSED) and not log.is_paused:
-        log.pause(reason)
+        log.note(MotionEvent.PAUSED, reason)
 
 
 class MotionInterface:
@@ -115,7 +115,7 @@ class MotionInterface:
     core: DrivenMotion  #: Motion that is driven
 
     def __init__(
-        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: MotionKind
+        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: MotionInput
     ) -> None:
         self._context, self._node = context, context.node
         self.core, self.output = core, output
@@ -148,7 +148,7 @@ class MotionInterface:
         now = self._node.now()
         window = self._stop_window(now) if brake and self.output.is_covered(now) else None
         self.core.abort()
-        self.log.end(MotionEvent.GIVEN_UP, why)
+        self.log.note(MotionEvent.GIVEN_UP, why)
         if window is not None:
             self.output.send(window)
         self.output.give_up()
@@ -171,7 +171,7 @@ class MotionInterface:
         note_pause(self.log, self.core.state)
         if self.idle:
             is_cancelled = before is PathState.CANCELLING
-            self.log.end(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
+            self.log.note(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
             self.output.end()
 
     def publish(self, horizon: float) -> None:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from nav_msgs.msg import Path
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.nodes.motion_events import request_of
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionLog
 from omniman_ros.nodes.serialized import deserialized, serialized_stamp
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
@@ -37,7 +36,7 @@ class PathInput:
         context.node.create_subscription(Path, topic, on_data, 10, raw=True)
 
     def _on_data(self, data: bytes) -> str | None:
-        motion = self._log.receive(request_of(serialized_stamp(data)))
+        motion = self._log.receive(serialized_stamp(data))
         max_poses = self._max_poses()
         try:
             if len(data) > POSE_BYTES * (max_poses + SPARE_POSES):

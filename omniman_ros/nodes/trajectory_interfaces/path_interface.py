@@ -11,8 +11,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathProposal, PathState
 from omniman_ros.motion.path.window import Window, paced_window
-from omniman_ros.nodes.motion_events import request_of
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
 from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import note_pause
@@ -28,13 +27,13 @@ class PathInterface:
     def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
         self._context, self._node = context, context.node
         self.core = core
-        self.log = context.events.log(MotionKind.PATH)
+        self.log = context.events.log(MotionInput.PATH)
         self.pending = PendingMotion(
-            self._node.now,
+            self._node,
             context.stream_monitor,
             self.log,
-            lambda: context.stream_monitor.blocking_reason or context.conflict(self),
             self._blocking_reason,
+            conflict=lambda: context.conflict(self),
         )
         PathInput(
             context,
@@ -64,10 +63,6 @@ class PathInterface:
             raise self.log.refuse(motion, str(error)) from error
         return self.pending.accept(motion, lambda: self._start(motion, poses))
 
-    def start_pending(self) -> str:
-        """Start the path that waits if possible; return why it is refused, or an empty string."""
-        return self.pending.start()
-
     def _blocking_reason(self) -> str:
         if not self.idle:
             return ""
@@ -96,14 +91,10 @@ class PathInterface:
         self.log.start(motion, text)
         context.on_started()
 
-    def discard_pending(self) -> bool:
-        """Discard the path that waits, and return whether there was one."""
-        return self.pending.discard()
-
     def give_up(self, why: str) -> None:
         """Discard the path, because the platform no longer follows it."""
         if not self.idle:
-            self.log.end(MotionEvent.GIVEN_UP, why)
+            self.log.note(MotionEvent.GIVEN_UP, why)
             self.core.abort()
             self._context.stream_monitor.end(lost=True)
 
@@ -128,7 +119,7 @@ class PathInterface:
         if self.idle:
             self._context.stream_monitor.end(lost=False)
             is_cancelled = before is PathState.CANCELLING
-            self.log.end(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
+            self.log.note(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the path under way that is `horizon` long [s]."""
@@ -151,21 +142,17 @@ class PathInterface:
         `controller_id` and the checkers of goal and progress name plugins of Nav2, and count for
         nothing here.
         """
-        motion = self.log.receive(request_of(request.path.header.stamp))
+        motion = self.log.receive(request.path.header.stamp)
         refusal = self._accept(motion, request.path)
         if refusal:
             raise InputError(refusal)
         return motion
 
-    def outcome(self, motion: LoggedMotion) -> str | None:
-        """Return why a path ended: empty if it was driven; None while it waits or goes on."""
-        return motion.outcome
-
     def cancel(self, motion: LoggedMotion) -> None:
         """Discard the path if it waits, or bring the platform to rest on it."""
-        if self.pending.discard(motion=motion):
-            return
-        if motion is self.log.driven:
+        if motion is self.pending.motion:
+            self.pending.discard()
+        elif motion is self.log.driven:
             self.core.cancel(self._context.time_base.now())
             self._context.on_started()
 

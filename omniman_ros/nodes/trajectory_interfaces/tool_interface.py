@@ -6,6 +6,7 @@ from concurrent.futures import Future
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import Path
 
 from omniman_ros.conversions import arm as arm_conversions
@@ -13,8 +14,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.nodes.motion_events import UNSTAMPED
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
 from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
@@ -67,14 +67,15 @@ class ToolInterface(Generic[Plan]):
         self._context, self._node, self._whole_body = context, context.node, whole_body
         self._driver, self._on_accepted = driver, on_accepted
         self._model = WholeBodyModel(context.options.mount)
-        self.log = context.events.log(MotionKind.TOOL_PATH)
-        self.pending = PendingMotion(
-            self._node.now,
+        self.log = context.events.log(MotionInput.TOOL_PATH)
+        self._pending = PendingMotion(
+            self._node,
             context.stream_monitor,
             self.log,
-            self._refusal,
             self._blocking_reason,
+            conflict=self._refusal,
         )
+        self.restart_timeout = self._pending.restart_timeout
         self._plan: tuple[LoggedMotion, Future[Plan]] | None = None
         self._running: Future[Plan] | None = None
         self._start_position: Array = np.zeros(0)
@@ -120,14 +121,14 @@ class ToolInterface(Generic[Plan]):
 
     def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
         """Take a motion, planned from axes (9,) at rest; return why it is refused, or ""."""
-        return self._take(self.log.receive(UNSTAMPED), planner, label)
+        return self._take(self.log.receive(Time()), planner, label)
 
     def _take(
         self, motion: LoggedMotion, planner: Callable[[Array], Callable[[], Plan]], label: str
     ) -> str:
-        self.discard_pending(MotionEvent.REPLACED)
+        self.discard(MotionEvent.REPLACED)
         self._on_accepted()
-        return self.pending.accept(motion, lambda: self._start_planning(motion, planner, label))
+        return self._pending.accept(motion, lambda: self._start_planning(motion, planner, label))
 
     def _poses(self, message: Path, place: Array, here: Array) -> Array:
         """Return poses (k, 4, 4) in odom of a path in a frame at `place`; see `tool_poses`."""
@@ -145,16 +146,16 @@ class ToolInterface(Generic[Plan]):
         """Whether a path is being planned."""
         return self._plan is not None and not self._plan[1].done()
 
-    def discard_pending(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
+    def discard(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
         """Discard the path that waits or is being planned, and return whether there was one."""
         plan, self._plan = self._plan, None
         if plan is not None:
             self.log.report(plan[0], event)
-        return self.pending.discard(event) or plan is not None
+        return self._pending.discard(event) or plan is not None
 
-    def start_pending(self) -> str:
+    def start(self) -> str:
         """Plan the path that waits, or start it once planned; return why it is refused, or ""."""
-        why = self.pending.start() if self._plan is None else ""
+        why = self._pending.start() if self._plan is None else ""
         if self._plan is None:
             return why
         (motion, plan), why = self._plan, self._refusal()

@@ -13,7 +13,7 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
@@ -28,15 +28,16 @@ class WholeBodyInterface(BodyInterface, JointInterface):
 
     _context: MotionContext
     core: JointInterpolator  #: Interpolator of the nine axes
+    pending: PendingMotion
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core, MotionKind.BODY)
+        super().__init__(context, core, MotionInput.BODY)
         self.pending = PendingMotion(
-            self._node.now,
+            self._node,
             context.stream_monitor,
             self.log,
-            lambda: context.stream_monitor.blocking_reason or context.conflict(self),
             self.blocking_reason,
+            conflict=lambda: context.conflict(self),
         )
 
     def configure(self, new: PathInterpolatorParameters) -> None:
@@ -68,14 +69,6 @@ class WholeBodyInterface(BodyInterface, JointInterface):
             now = np.array([self._context.time_base.now()])
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
         return points.unwrapped(HEADING_COLUMN, float(heading))
-
-    def discard_pending(self, motion: LoggedMotion | None = None) -> bool:
-        """Discard the motion that waits; see the base class."""
-        return self.pending.discard(motion=motion)
-
-    def start_pending(self) -> str:
-        """Start the waiting motion if possible; return why it is refused, or an empty string."""
-        return self.pending.start()
 
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return each part's references at its own time of measurement; see the base class."""

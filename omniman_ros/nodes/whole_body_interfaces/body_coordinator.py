@@ -16,7 +16,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.motion_events import MotionEvents
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionKind
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
@@ -62,7 +62,7 @@ class AvoidanceInterface(BodyInterface):
         core: "AvoidanceMotion",
         surroundings: SurroundingsInterface,
     ) -> None:
-        super().__init__(context, core, MotionKind.TOOL_PATH)
+        super().__init__(context, core, MotionInput.TOOL_PATH)
         self._surroundings = surroundings
         self._model = WholeBodyModel(context.options.mount)
         self._found: Obstruction | None = None  # of the last cycle
@@ -287,7 +287,7 @@ class BodyCoordinator:
 
     def cancel(self) -> None:
         """Discard what waits or brake what moves; raise RefusedError if there is nothing."""
-        is_discarded = self.tool.discard_pending()
+        is_discarded = self.tool.discard()
         if not self.context.time_base.idle or not is_discarded:
             self.context.time_base.cancel()
 
@@ -295,7 +295,7 @@ class BodyCoordinator:
         """Bring the robot to rest on its path, and accept nothing new."""
         self.is_ending = True
         self.context.frames.end_waiting()
-        self.tool.discard_pending()
+        self.tool.discard()
         if not self.context.time_base.idle:
             self.context.time_base.cancel()
             self.send()
@@ -305,11 +305,11 @@ class BodyCoordinator:
         since_tick, self._ticked_at = self._node.now() - self._ticked_at, self._node.now()
         self._supervisor.check_time(since_tick)
         if since_tick < -TIME_JUMP:
-            self.tool.pending.restart_timeout()
+            self.tool.restart_timeout()
         self._supervisor.check_control()
         if self.context.odom.pose is not None:
             self.surroundings.update_map(self.context.odom.pose)
-        if refusal := self.tool.start_pending():
+        if refusal := self.tool.start():
             self._node.warn("tool path refused", f"tool path not used: {refusal}")
         if self.context.time_base.idle:
             return

@@ -60,11 +60,6 @@ class ObstaclePublisher:
         self._ended = False
 
     @property
-    def publishers(self) -> tuple[Publisher, ...]:
-        """The publisher, once there was an obstacle."""
-        return () if self._publisher is None else (self._publisher,)
-
-    @property
     def handlers(self) -> dict[type, Callable[[Any, float], None]]:
         """The handler of each type of event, called with the event and the time [s]."""
         return {
@@ -197,6 +192,7 @@ class ObstaclePublisher:
             if not len(arrays.numbers):
                 return
             self._publisher = self._open(now)
+            self._node.final_publishers.append(self._publisher)  # its last message deletes them
         header = Header(stamp=self._node.stamp(), frame_id=self._frame)
         message = MarkerArray(markers=[self._deletion(header, n) for n in sorted(deleted)])
         if deleted and not len(arrays.numbers):
