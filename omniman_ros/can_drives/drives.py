@@ -12,7 +12,7 @@ import numpy as np
 from omniman_ros.can_drives.axis import AxisState, Demand, DriveSetpoint, Receipt
 from omniman_ros.can_drives.foreign_host import ForeignHostDetector
 from omniman_ros.can_drives.frame import CanFrame
-from omniman_ros.can_drives.protocols import PROTOCOLS, Network
+from omniman_ros.can_drives.protocols import drive_protocol
 from omniman_ros.can_drives.setpoints import SetpointGenerator
 from omniman_ros.can_drives.transmission import axis_settings
 from omniman_ros.can_drives.wheel_axes import WheelAxes
@@ -60,10 +60,11 @@ class CanDrives:
 
     def __init__(self, robot: Platform, parameters: CanParameters) -> None:
         settings = axis_settings(robot, parameters)
-        entry = PROTOCOLS[parameters.protocol]
-        self._group = WheelAxes([entry.axis(axis_setting) for axis_setting in settings])
+        protocol = drive_protocol(parameters.protocol)
+        # The constructor of a protocol takes the settings alone.
+        self._group = WheelAxes([protocol(drive) for drive in settings])  # type: ignore[call-arg]
         self.axes = self._group.axes
-        self._network: Network = entry.network(settings)
+        self._network = protocol.network(settings)
         self.phase = CanDrivesPhase.UNCONFIGURED
         self.stop_reason = ""
         self._has_moved = False

@@ -17,18 +17,15 @@ controller's mode cannot be read back; it is sent before each enabling.
 
 import math
 import struct
-from collections.abc import Callable, Collection
 from enum import IntEnum
 
 from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveAxis,
     DriveSetpoint,
-    Feedback,
-    Receipt,
 )
-from omniman_ros.can_drives.checks import clip_setpoint, is_reachable, require_positive
 from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 
@@ -155,7 +152,7 @@ def error_text(error: int) -> str:
     return f"axis error 0x{error:08X}: {' or '.join(names) or 'unknown'}"
 
 
-class OdriveAxis:
+class OdriveAxis(DriveAxis):
     """One axis of an ODrive.
 
     The drive accepts velocities and torques, both passed through to its controller without ramps,
@@ -183,24 +180,23 @@ class OdriveAxis:
         ParameterError: A setting that the codec divides by is not finite and above zero.
     """
 
+    modes = tuple(CONTROL_MODES)
+
     def __init__(self, settings: AxisSettings) -> None:
-        require_positive(
-            settings, "torque_constant", "period", "drive_heartbeat", "feedback_timeout"
+        settings.require_positive(
+            "torque_constant", "period", "drive_heartbeat", "feedback_timeout"
         )
-        self.settings = settings
-        self.state = AxisState.OFFLINE
-        self.fault_reason = ""
-        self.feedback = Feedback()
-        self.modes: Collection[DriveMode] = tuple(CONTROL_MODES)
-        self.command_ids: Collection[tuple[int, bool]] = frozenset(
-            (settings.node << 5 | command, False) for command in HOST_COMMANDS
-        )
-        self._handlers: dict[int, Callable[[bytes, float], bool]] = {
+        handlers = {
             CommandId.HEARTBEAT: self._on_heartbeat,
             CommandId.ENCODER: self._on_encoder,
             CommandId.IQ: self._on_iq,
             CommandId.BUS: self._on_bus,
-        }
+        } | dict.fromkeys(UNUSED_REPORTS, _is_complete)
+        super().__init__(
+            settings,
+            [settings.node << 5 | command for command in HOST_COMMANDS],
+            {settings.node << 5 | command: handler for command, handler in handlers.items()},
+        )
         self._heartbeat_timeout = MISSED_HEARTBEATS * settings.drive_heartbeat + settings.period
         self._mode: DriveMode | None = None
         self._axis_state: int | None = None
@@ -216,42 +212,21 @@ class OdriveAxis:
         self._value_requested_at = -math.inf
 
     def configure(self, now: float) -> None:
-        """See `Axis`."""
-        self.state, self.fault_reason = AxisState.CONFIGURING, ""
+        """See `DriveAxis`."""
+        super().configure(now)
         self._began_at = now
         self._clear_errors = False
         self._errors_ignored_until = -math.inf
         self._requested = self._mode = None
 
     def reset(self, now: float) -> None:
-        """See `Axis`: with a fault or OFFLINE, clear the errors and configure the drive again."""
+        """See `DriveAxis`: with a fault or OFFLINE, clear errors and configure the drive again."""
         if self.fault_reason or self.state in (AxisState.OFFLINE, AxisState.FAULT):
             self.configure(now)
             self._clear_errors = True
 
-    def receive(self, frame: CanFrame, now: float) -> Receipt:
-        """See `Axis`: remote frames are requests of a host, and thus foreign."""
-        node, command = divmod(frame.id, 32)
-        handler = self._handlers.get(command)
-        if (
-            node != self.settings.node
-            or frame.remote
-            or (handler is None and command not in UNUSED_REPORTS)
-        ):
-            return Receipt.FOREIGN
-        if frame.extended or len(frame.data) < 8:
-            return Receipt.MALFORMED
-        if handler is not None and not handler(frame.data, now):
-            return Receipt.MALFORMED
-        return Receipt.ACCEPTED
-
-    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
-        """See `Axis`: return one frame, or more if something begins, is repeated or is requested.
-
-        Raises:
-            ValueError: The setpoint is not finite.
-        """
-        setpoint = clip_setpoint(setpoint, self.settings)
+    def frames(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
+        """See `DriveAxis`: one frame, or more if something begins, is repeated or requested."""
         is_watched = self.state in (AxisState.READY, AxisState.ENABLED)
         if is_watched and now - self._heartbeat_at > self._heartbeat_timeout:
             self.fault_reason = self.fault_reason or "its heartbeat is missing"
@@ -369,7 +344,7 @@ class OdriveAxis:
             if self.state is not AxisState.CONFIGURING or not (
                 self._clear_errors or now < self._errors_ignored_until
             ):
-                self._fail(AxisState.FAULT, error_text(error))
+                self.fail(AxisState.FAULT, error_text(error))
         elif self.state is AxisState.CONFIGURING:
             if self._is_idle() and self._requested == IDLE and self.feedback.at >= self._began_at:
                 self.state = AxisState.READY
@@ -377,10 +352,10 @@ class OdriveAxis:
             if axis_state == CLOSED_LOOP and is_requested:
                 self.state = AxisState.ENABLED
             elif axis_state not in (IDLE, CLOSED_LOOP):
-                self._fail(AxisState.OFFLINE, f"it went to axis state {axis_state} by itself")
+                self.fail(AxisState.OFFLINE, f"it went to axis state {axis_state} by itself")
         elif self.state is AxisState.ENABLED and axis_state != CLOSED_LOOP:
             if is_requested:
-                self._fail(
+                self.fail(
                     AxisState.OFFLINE,
                     f"it left closed loop control by itself, to axis state {axis_state}",
                 )
@@ -395,20 +370,17 @@ class OdriveAxis:
         previous = reading if self._position_revolutions is None else self._position_revolutions
         revolutions = reading + self._offset
         elapsed = now - self.feedback.at
-        if not is_reachable((revolutions - previous) * math.tau, elapsed, self.settings):
+        if not self.settings.is_reachable((revolutions - previous) * math.tau, elapsed):
             if self.state in (AxisState.READY, AxisState.ENABLED):
                 step = revolutions - previous
-                self._fail(
+                self.fail(
                     AxisState.OFFLINE,
                     f"it restarted: its position jumped by {step:.6g} rev",
                 )
             revolutions, self._offset = previous, previous - reading
             self.feedback.restarts += 1
         self._position_revolutions = revolutions
-        self.feedback.position = revolutions * math.tau
-        self.feedback.velocity = speed * math.tau
-        self.feedback.at = now
-        self.feedback.count += 1
+        self.feedback.measure(revolutions * math.tau, speed * math.tau, now)
         return True
 
     def _on_iq(self, data: bytes, now: float) -> bool:
@@ -428,6 +400,6 @@ class OdriveAxis:
         self.feedback.bus_voltage = voltage
         return True
 
-    def _fail(self, state: AxisState, reason: str) -> None:
-        self.state = state
-        self.fault_reason = self.fault_reason or reason
+
+def _is_complete(data: bytes, now: float) -> bool:
+    return len(data) == 8

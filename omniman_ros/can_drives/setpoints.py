@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from omniman_ros.can_drives.axis import REST, Axis, DriveSetpoint
+from omniman_ros.can_drives.axis import REST, DriveAxis, DriveSetpoint
 from omniman_ros.can_drives.transmission import Transmission, max_wheel_speed, transmissions
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.arrays import Array
@@ -71,7 +71,9 @@ class SetpointGenerator:
     A stale command becomes a ramp to rest on the curve that the robot is on.
     """
 
-    def __init__(self, axes: Sequence[Axis], robot: Platform, parameters: CanParameters) -> None:
+    def __init__(
+        self, axes: Sequence[DriveAxis], robot: Platform, parameters: CanParameters
+    ) -> None:
         self._axes = axes
         self._ramp = SpeedRamp(len(axes))
         self._command: WheelCommand | None = None

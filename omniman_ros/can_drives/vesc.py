@@ -17,19 +17,16 @@ its status frames carries a fault code. A fault shows as a current of zero, and 
 
 import math
 import struct
-from collections.abc import Callable, Collection
 from enum import IntEnum
 
 from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveAxis,
     DriveSetpoint,
-    Feedback,
-    Receipt,
     WrappingCounter,
 )
-from omniman_ros.can_drives.checks import clip_setpoint, is_reachable, require_positive
 from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 
@@ -61,6 +58,8 @@ SCALES = {PacketId.SET_DUTY: 1e5, PacketId.SET_CURRENT: 1e3, PacketId.SET_RPM: 1
 
 #: Commands that only a host sends
 HOST_COMMANDS = tuple(p for p in PacketId if p.name.startswith("SET_"))
+#: Reports that are received but not used here
+UNUSED_REPORTS = (PacketId.STATUS_2, PacketId.STATUS_3, PacketId.STATUS_4, PacketId.STATUS_6)
 #: Layout of status 1: speed [electrical rpm], total motor current [0.1 A], duty cycle [1/1000]
 STATUS_LAYOUT = struct.Struct(">ihh")
 #: Layout of status 5: tachometer [1/6 electrical revolution], input voltage [0.1 V], reserved
@@ -72,7 +71,7 @@ RPM = 60.0 / math.tau  #: Revolutions per minute of 1 rad/s
 MAX_INTEGER = 2**31 - 1  #: Largest integer of a command
 
 
-class VescAxis:
+class VescAxis(DriveAxis):
     """One VESC.
 
     A velocity is sent as SET_RPM, a torque as SET_CURRENT by the torque constant, a voltage as
@@ -99,24 +98,21 @@ class VescAxis:
         ParameterError: A setting that the codec divides by is not finite and above zero.
     """
 
+    modes = tuple(DriveMode)
+
     def __init__(self, settings: AxisSettings) -> None:
-        require_positive(settings, "pole_pairs", "torque_constant", "period", "feedback_timeout")
-        self.settings = settings
-        self.state = AxisState.OFFLINE
-        self.fault_reason = ""
-        self.feedback = Feedback()
-        self.modes: Collection[DriveMode] = tuple(DriveMode)
-        node = settings.node
-        self.command_ids: Collection[tuple[int, bool]] = frozenset(
-            (packet << 8 | node, True) for packet in HOST_COMMANDS
+        settings.require_positive("pole_pairs", "torque_constant", "period", "feedback_timeout")
+        handlers = {
+            PacketId.STATUS: self._on_status,
+            PacketId.STATUS_5: self._on_status_5,
+            PacketId.NOTIFY_BOOT: self._on_boot,
+        } | dict.fromkeys(UNUSED_REPORTS, _is_complete)
+        super().__init__(
+            settings,
+            [packet << 8 | settings.node for packet in HOST_COMMANDS],
+            {packet << 8 | settings.node: handler for packet, handler in handlers.items()},
+            extended=True,
         )
-        self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            PacketId.STATUS << 8 | node: self._on_status,
-            PacketId.STATUS_5 << 8 | node: self._on_status_5,
-        }
-        self._boot_id = PacketId.NOTIFY_BOOT << 8 | node
-        others = (PacketId.STATUS_2, PacketId.STATUS_3, PacketId.STATUS_4, PacketId.STATUS_6)
-        self._unused_ids = frozenset(packet << 8 | node for packet in others)
         self._radians_per_count = math.tau / (6 * settings.pole_pairs)
         self._tachometer = WrappingCounter()
         self._tachometer_at: float | None = None
@@ -126,39 +122,13 @@ class VescAxis:
         self._is_driven = False
 
     def configure(self, now: float) -> None:
-        """See `Axis`: nothing is set; the axis waits for both reports, without power."""
-        self.state, self.fault_reason = AxisState.CONFIGURING, ""
+        """See `DriveAxis`: nothing is set; the axis waits for both reports, without power."""
+        super().configure(now)
         self._received.clear()
         self._is_driven = False
 
-    def reset(self, now: float) -> None:
-        """See `Axis`: with a fault or OFFLINE the drive is configured again."""
-        if self.fault_reason or self.state is AxisState.OFFLINE:
-            self.configure(now)
-
-    def receive(self, frame: CanFrame, now: float) -> Receipt:
-        """See `Axis`: remote, 11-bit and short frames are malformed, as a VESC sends none."""
-        if frame.id == self._boot_id and frame.extended and not frame.remote:
-            self._tachometer.restart()
-            self.feedback.restarts += 1
-            self._on_restart("it reports a boot")
-            return Receipt.ACCEPTED
-        handler = self._handlers.get(frame.id)
-        if handler is None and frame.id not in self._unused_ids:
-            return Receipt.FOREIGN
-        if not frame.extended or frame.remote or len(frame.data) < 8:
-            return Receipt.MALFORMED
-        if handler is not None:
-            handler(frame.data, now)
-        return Receipt.ACCEPTED
-
-    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
-        """See `Axis`: return exactly one frame.
-
-        Raises:
-            ValueError: The setpoint is not finite.
-        """
-        setpoint = clip_setpoint(setpoint, self.settings)
+    def frames(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
+        """See `DriveAxis`: return exactly one frame."""
         if demand is Demand.IDLE:
             self._is_driven = False
             if self.state is AxisState.ENABLED:
@@ -183,7 +153,7 @@ class VescAxis:
             return self._command_frame(PacketId.SET_CURRENT, value / settings.torque_constant)
         supply = self.feedback.bus_voltage
         if not supply >= MIN_BUS_VOLTAGE:
-            self._fail(self.state, f"no plausible bus voltage received: {supply:g} V")
+            self.fail(self.state, f"no plausible bus voltage received: {supply:g} V")
             return self._command_frame(PacketId.SET_CURRENT, 0.0)
         return self._command_frame(
             PacketId.SET_DUTY, min(max(value / supply, -MAX_DUTY), MAX_DUTY)
@@ -193,7 +163,7 @@ class VescAxis:
         number = round(min(max(value * SCALES[packet], -MAX_INTEGER), MAX_INTEGER))
         return CanFrame(packet << 8 | self.settings.node, struct.pack(">i", number), extended=True)
 
-    def _on_status(self, data: bytes, now: float) -> None:
+    def _on_status(self, data: bytes, now: float) -> bool:
         speed, current, duty = STATUS_LAYOUT.unpack_from(data)
         feedback, settings = self.feedback, self.settings
         feedback.velocity = speed / (RPM * settings.pole_pairs)
@@ -201,15 +171,14 @@ class VescAxis:
         feedback.current = current * (-0.1 if duty < 0 else 0.1)
         feedback.torque = feedback.current * settings.torque_constant
         feedback.voltage = self._duty * feedback.bus_voltage
-        self._count_report(PacketId.STATUS, now)
+        return self._count_report(PacketId.STATUS, now)
 
-    def _on_status_5(self, data: bytes, now: float) -> None:
+    def _on_status_5(self, data: bytes, now: float) -> bool:
         reading, supply, _ = STATUS_5_LAYOUT.unpack_from(data)
         counter, previous = self._tachometer, self._tachometer.value
         step = (counter.update(reading) - previous) * self._radians_per_count
-        if self._tachometer_at is not None and not is_reachable(
-            step, now - self._tachometer_at, self.settings
-        ):
+        before = self._tachometer_at
+        if before is not None and not self.settings.is_reachable(step, now - before):
             counter.value = previous  # the position continues from there
             self.feedback.restarts += 1
             self._on_restart(f"its tachometer jumped by {step / math.tau:.1f} revolutions")
@@ -217,22 +186,28 @@ class VescAxis:
         self.feedback.position = counter.value * self._radians_per_count
         self.feedback.bus_voltage = supply * 0.1
         self.feedback.voltage = self._duty * self.feedback.bus_voltage
-        self._count_report(PacketId.STATUS_5, now)
+        return self._count_report(PacketId.STATUS_5, now)
 
-    def _count_report(self, packet: PacketId, now: float) -> None:
+    def _count_report(self, packet: PacketId, now: float) -> bool:
         self._fresh.add(packet)
         self._received.add(packet)
         if len(self._fresh) == 2:
             self._fresh.clear()
-            self.feedback.at = now
-            self.feedback.count += 1
+            self.feedback.measure(self.feedback.position, self.feedback.velocity, now)
         if self.state is AxisState.CONFIGURING and len(self._received) == 2:
             self.state = AxisState.READY
+        return True
+
+    def _on_boot(self, data: bytes, now: float) -> bool:
+        self._tachometer.restart()
+        self.feedback.restarts += 1
+        self._on_restart("it reports a boot")
+        return True
 
     def _on_restart(self, evidence: str) -> None:
         if self.state in (AxisState.READY, AxisState.ENABLED):
-            self._fail(AxisState.OFFLINE, f"it restarted: {evidence}")
+            self.fail(AxisState.OFFLINE, f"it restarted: {evidence}")
 
-    def _fail(self, state: AxisState, reason: str) -> None:
-        self.state = state
-        self.fault_reason = self.fault_reason or reason
+
+def _is_complete(data: bytes, now: float) -> bool:
+    return len(data) == 8

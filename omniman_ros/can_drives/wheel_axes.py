@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from omniman_ros.can_drives.axis import Axis, AxisState, Demand, DriveSetpoint, Receipt
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveAxis, DriveSetpoint, Receipt
 from omniman_ros.can_drives.frame import CanFrame
 
 
 class WheelAxes:
     """Passes frames and demands to the axes of all wheels, in the robot's order."""
 
-    def __init__(self, axes: Sequence[Axis]) -> None:
+    def __init__(self, axes: Sequence[DriveAxis]) -> None:
         self.axes = tuple(axes)
         self._owners: dict[tuple[int, bool], int] = {}
         self._was_reset = [False] * len(self.axes)

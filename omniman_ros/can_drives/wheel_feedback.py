@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.can_drives.axis import Axis, Feedback
+from omniman_ros.can_drives.axis import DriveAxis, Feedback
 from omniman_ros.can_drives.transmission import Transmission, max_wheel_speed, transmissions
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
@@ -100,7 +100,7 @@ class FeedbackConverter:
 
     def __init__(
         self,
-        axes: Sequence[Axis],
+        axes: Sequence[DriveAxis],
         robot: Platform,
         parameters: CanParameters,
         samples_at_sync: bool,

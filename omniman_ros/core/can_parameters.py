@@ -9,7 +9,7 @@ from omniman_ros.core.platform import Platform
 #: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
 
-#: Smallest and largest node id of a drive, by protocol.
+#: Smallest and largest node id of a drive, by protocol of the package.
 #:
 #: In CANopen, 127 is the host's node id; 255 addresses all VESCs.
 NODE_IDS = {"cia402": (1, 126), "vesc": (0, 254), "odrive": (0, 63)}
@@ -51,8 +51,7 @@ class CanParameters:
     )
     protocol: str = parameter(
         "cia402",
-        "Protocol of the drives.",
-        choices=("cia402", "vesc", "odrive"),
+        "Protocol of the drives: cia402, vesc, odrive, or MODULE:CLASS of a DriveAxis.",
         read_only=True,
     )
     nodes: tuple[int, ...] = parameter(
@@ -217,8 +216,8 @@ class CanParameters:
 
         Raises:
             ParameterError: There is not one node id per wheel, a node id is repeated or outside
-                the protocol's range, a direction is neither 1 nor -1, or there is neither one
-                direction nor one per wheel.
+                the protocol's range, a direction is neither 1 nor -1, there is neither one
+                direction nor one per wheel, or the protocol is not a name or MODULE:CLASS.
         """
         n, nodes = robot.wheel_count, self.nodes
         if len(nodes) != n:
@@ -226,7 +225,10 @@ class CanParameters:
             raise ParameterError("can.nodes", nodes, reason)
         if len(set(nodes)) != n:
             raise ParameterError("can.nodes", nodes, "must not repeat a node id")
-        low, high = NODE_IDS[self.protocol]
+        if self.protocol not in NODE_IDS and ":" not in self.protocol:
+            reason = f"must be one of {', '.join(NODE_IDS)}, or MODULE:CLASS of a DriveAxis"
+            raise ParameterError("can.protocol", self.protocol, reason)
+        low, high = NODE_IDS.get(self.protocol, (0, 254))
         for node in nodes:
             if not low <= node <= high:
                 reason = f"must have node ids from {low} to {high} with {self.protocol}"

@@ -2,30 +2,34 @@
 
 import math
 
-from omniman_ros.can_drives.axis import AxisState, Demand, Feedback, Receipt
+from omniman_ros.can_drives.axis import AxisState, Demand, DriveAxis, Network
 from omniman_ros.can_drives.frame import CanFrame
-from omniman_ros.can_drives.protocols import ProtocolEntry
 from omniman_ros.control.wheel_cascade import DriveMode
 
 COMMAND, REPORT, SYNC = 0x200, 0x180, 0x80
+PROTOCOL = f"{__name__}:ScriptedAxis"  #: Value of can.protocol
 
 
-class ScriptedAxis:
+class ScriptedNetwork(Network):
+    command_ids = ((SYNC, False),)
+    samples_at_sync = True
+
+    def after(self, now):
+        return [CanFrame(SYNC, b"")]
+
+
+class ScriptedAxis(DriveAxis):
     """Axis that obeys at once and follows exactly, unless the test changes it."""
 
+    network = ScriptedNetwork
+    modes = (DriveMode.VELOCITY, DriveMode.TORQUE)
+
     def __init__(self, settings):
-        self.settings = settings
-        self.state = AxisState.OFFLINE
-        self.fault_reason = ""
-        self.feedback = Feedback()
-        self.modes = {DriveMode.VELOCITY, DriveMode.TORQUE}
-        self.command_ids = [(COMMAND + settings.node, False)]
+        node = settings.node
+        super().__init__(settings, [COMMAND + node], {REPORT + node: self._on_report})
         self.obedient = True
         self.asked = []
         self.resets = 0
-
-    def configure(self, now):
-        self.state, self.fault_reason = AxisState.CONFIGURING, ""
 
     def reset(self, now):
         self.fault_reason, self.resets = "", self.resets + 1
@@ -34,17 +38,16 @@ class ScriptedAxis:
         if self.state is AxisState.OFFLINE:
             self.state = AxisState.CONFIGURING
 
-    def receive(self, frame, now):
-        if frame.extended or frame.id != REPORT + self.settings.node:
-            return Receipt.FOREIGN
-        if len(frame.data) != 8:
-            return Receipt.MALFORMED
-        self.feedback.position = int.from_bytes(frame.data[:4], "little", signed=True) * 1e-3
-        self.feedback.velocity = int.from_bytes(frame.data[4:], "little", signed=True) * 1e-3
-        self.feedback.at, self.feedback.count = now, self.feedback.count + 1
-        return Receipt.ACCEPTED
+    def _on_report(self, data, now):
+        if len(data) != 8:
+            return False
+        position, velocity = (
+            int.from_bytes(part, "little", signed=True) * 1e-3 for part in (data[:4], data[4:])
+        )
+        self.feedback.measure(position, velocity, now)
+        return True
 
-    def tick(self, demand, setpoint, now):
+    def frames(self, demand, setpoint, now):
         assert math.isfinite(setpoint.value)
         self.asked.append((demand, setpoint))
         if self.obedient:
@@ -53,6 +56,8 @@ class ScriptedAxis:
         milli = round(1e3 * setpoint.value) if moves else 0
         data = demand.value[0].encode() + milli.to_bytes(4, "little", signed=True)
         return [CanFrame(COMMAND + self.settings.node, data)]
+
+    tick = frames  # records every setpoint, also that of a drive that stops
 
     def _obey(self, demand):
         if self.state is AxisState.CONFIGURING:
@@ -64,23 +69,6 @@ class ScriptedAxis:
                 Demand.DRIVE: AxisState.ENABLED,
                 Demand.STOP: AxisState.STOPPING if powered else AxisState.READY,
             }[demand]
-
-
-class ScriptedNetwork:
-    command_ids = ((SYNC, False),)
-    samples_at_sync = True
-
-    def __init__(self, settings):
-        pass
-
-    def before(self, now):
-        return []
-
-    def after(self, now):
-        return [CanFrame(SYNC, b"")]
-
-
-ENTRY = ProtocolEntry(ScriptedAxis, ScriptedNetwork)
 
 
 def report(node, position, velocity):

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.can_drives import protocols
 from omniman_ros.can_drives.axis import AxisState, Demand
 from omniman_ros.can_drives.drives import LISTEN_TIME, REST_TIME, CanDrives, CanDrivesPhase
 from omniman_ros.can_drives.foreign_host import ECHO_MEMORY
@@ -16,7 +15,7 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
 from omniman_ros.robots import robot_parameters
-from test.can_drives.scripted import COMMAND, ENTRY, SYNC, report
+from test.can_drives.scripted import COMMAND, PROTOCOL, SYNC, report
 
 PERIOD = 0.005
 NODES = (11, 12, 13, 14)
@@ -26,10 +25,9 @@ SPEED = np.array([4.0, -2.0, 1.0, 3.0])
 class Bench:
     """Drives that report their setpoints, one period at a time."""
 
-    def __init__(self, monkeypatch, **changes):
-        monkeypatch.setitem(protocols.PROTOCOLS, "vesc", ENTRY)
+    def __init__(self, **changes):
         robot = build(Platform, robot_parameters("omniman"))
-        given = {"protocol": "vesc", "nodes": NODES, "direction": (1.0, -1.0, 1.0, -1.0)}
+        given = {"protocol": PROTOCOL, "nodes": NODES, "direction": (1.0, -1.0, 1.0, -1.0)}
         values = {f"can.{key}": value for key, value in (given | changes).items()}
         self.parameters = build(CanParameters, values, "can.")
         self.robot = robot
@@ -91,8 +89,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch):
-    return Bench(monkeypatch)
+def bench():
+    return Bench()
 
 
 def velocity(*speeds):
@@ -206,9 +204,9 @@ def test_drives_that_are_not_configured_cannot_be_enabled(bench):
         ({"direction": (1.0, 1.0)}, "1 or -1"),
     ],
 )
-def test_installation_that_does_not_fit_is_refused(monkeypatch, changes, reason):
+def test_installation_that_does_not_fit_is_refused(changes, reason):
     with pytest.raises(ParameterError, match=reason):
-        Bench(monkeypatch, **changes)
+        Bench(**changes)
 
 
 # ---- commands -------------------------------------------------------------------------------
@@ -314,8 +312,8 @@ def test_refused_command_is_not_fresh(bench, command, reason):
     assert bench.speeds() == [0.0] * 4
 
 
-def test_voltages_become_torques_by_the_motor_model_within_the_supply(monkeypatch):
-    bench = Bench(monkeypatch, mode="voltage")
+def test_voltages_become_torques_by_the_motor_model_within_the_supply():
+    bench = Bench(mode="voltage")
     bench.up()
     motor = bench.robot.motor
     for axis in bench.axes:
@@ -331,8 +329,8 @@ def test_voltages_become_torques_by_the_motor_model_within_the_supply(monkeypatc
     assert [setpoint.value for setpoint in asked] == pytest.approx(expected)
 
 
-def test_turning_motor_gets_less_torque_at_the_same_voltage(monkeypatch):
-    bench = Bench(monkeypatch, mode="voltage", max_torque=1000.0)
+def test_turning_motor_gets_less_torque_at_the_same_voltage():
+    bench = Bench(mode="voltage", max_torque=1000.0)
     bench.up()
     motor, speed = bench.robot.motor, 30.0
     bench.hear(report(NODES[0], 0.0, speed))
@@ -342,8 +340,8 @@ def test_turning_motor_gets_less_torque_at_the_same_voltage(monkeypatch):
     assert bench.axes[0].asked[-1][1].value == pytest.approx(expected)
 
 
-def test_stale_torques_become_a_ramp_of_speeds_from_the_measured_ones(monkeypatch):
-    bench = Bench(monkeypatch, mode="torque", heartbeat_timeout=1.0)
+def test_stale_torques_become_a_ramp_of_speeds_from_the_measured_ones():
+    bench = Bench(mode="torque", heartbeat_timeout=1.0)
     bench.up()
     ratio = bench.robot.motor.gear_ratio
     bench.period(1, WheelCommand(DriveMode.TORQUE, np.full(4, 0.5)))
@@ -420,8 +418,8 @@ def test_drive_that_leaves_its_power_stage_stops_all(bench):
     assert bench.asked() == [Demand.STOP] * 4
 
 
-def test_supply_that_breaks_down_stops_all(monkeypatch):
-    bench = Bench(monkeypatch, min_bus_voltage=18.0).driving()
+def test_supply_that_breaks_down_stops_all():
+    bench = Bench(min_bus_voltage=18.0).driving()
     bench.axes[3].feedback.bus_voltage = 17.0
     bench.period(1, velocity(*SPEED))
     assert bench.drives.stop_reason == "rear_right: supply 17.0 V, at least 18.0 V are needed"
@@ -606,8 +604,8 @@ def test_lower_limits_do_not_take_the_power_off_wheels_that_still_turn(bench):
     assert bench.drives.stop_reason.startswith("front_left: runs away at 4.0 rad/s")
 
 
-def test_speeds_after_torques_begin_at_those_of_the_wheels(monkeypatch):
-    bench = Bench(monkeypatch, mode="torque").up()
+def test_speeds_after_torques_begin_at_those_of_the_wheels():
+    bench = Bench(mode="torque").up()
     ratio = bench.robot.motor.gear_ratio
     turning = np.array([6.0, -3.0, 1.0, 5.0])
     for _ in range(5):

@@ -3,7 +3,6 @@
 import can
 import pytest
 
-from omniman_ros.can_drives import protocols
 from omniman_ros.can_drives.bus import MAX_TAKEN_FRAMES
 from omniman_ros.can_drives.drives import LISTEN_TIME, CanDrivesPhase
 from omniman_ros.can_drives.link import CanLink
@@ -12,7 +11,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
 from omniman_ros.robots import robot_parameters
 from test.can_drives.fake_bus import FakeBus, message
-from test.can_drives.scripted import COMMAND, ENTRY, REPORT, SYNC
+from test.can_drives.scripted import COMMAND, PROTOCOL, REPORT, SYNC
 
 NODES = (11, 12, 13, 14)
 STOP = b"s"
@@ -31,11 +30,10 @@ class Clock:
 
 @pytest.fixture
 def link(monkeypatch):
-    monkeypatch.setitem(protocols.PROTOCOLS, "vesc", ENTRY)
     fake = FakeBus(True)
     monkeypatch.setattr(can, "Bus", lambda **options: fake)
     robot = build(Platform, robot_parameters("omniman"))
-    made = CanLink(robot, CanParameters(nodes=NODES, protocol="vesc"), Clock())
+    made = CanLink(robot, CanParameters(nodes=NODES, protocol=PROTOCOL), Clock())
     made.fake = fake
     yield made
     made.close()

@@ -594,7 +594,7 @@ def test_values_reported_periodically_are_not_requested():
         (CanFrame(id_of(0x15), bytes(8)), Receipt.ACCEPTED),
         (CanFrame(id_of(0x09), bytes(7)), Receipt.MALFORMED),
         (CanFrame(id_of(0x01), bytes(7)), Receipt.MALFORMED),
-        (CanFrame(id_of(0x09), bytes(8), extended=True), Receipt.MALFORMED),
+        (CanFrame(id_of(0x09), bytes(8), extended=True), Receipt.FOREIGN),
         (encoder(math.nan), Receipt.MALFORMED),
         (encoder(0.0, math.inf), Receipt.MALFORMED),
         (encoder(-math.inf), Receipt.MALFORMED),

@@ -6,15 +6,14 @@ ramps; torques in the corresponding torque modes.
 """
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 
 from omniman_ros.can_drives.axis import (
     AxisSettings,
     AxisState,
     Demand,
+    DriveAxis,
     DriveSetpoint,
-    Feedback,
-    Receipt,
     WrappingCounter,
 )
 from omniman_ros.can_drives.cia402.bringup import RETRY_PERIOD, BringUp
@@ -33,6 +32,7 @@ from omniman_ros.can_drives.cia402.canopen import (
     parse_sdo,
 )
 from omniman_ros.can_drives.cia402.drive_supervisor import DriveSupervisor, FaultReasons
+from omniman_ros.can_drives.cia402.network import CanopenNetwork
 from omniman_ros.can_drives.cia402.objects import (
     CONTROLWORD,
     RPDO_OFFSET,
@@ -63,8 +63,8 @@ from omniman_ros.core.errors import InputError
 SETTLING_TICKS = 3  #: Number of ticks after which a drive reports the effect of a command
 
 
-class Cia402Axis:
-    """One CiA 402 drive; it implements `axis.Axis`.
+class Cia402Axis(DriveAxis):
+    """One CiA 402 drive.
 
     A stop is the drive's own quick stop, in velocity mode with a target of zero: in a torque mode
     a quick stop may be a torque of zero, which lets the motor coast.
@@ -74,26 +74,26 @@ class Cia402Axis:
     still commanded to stop, by PDO and, because it may not accept that, by SDO.
     """
 
+    network = CanopenNetwork
+
     def __init__(self, settings: AxisSettings) -> None:
-        node = settings.node
         check_settings(settings)
-        self.settings = settings
-        self.state = AxisState.OFFLINE
-        self.fault_reason = ""
-        self.feedback = Feedback()
-        self.modes: Collection[DriveMode] = frozenset()
-        self.command_ids: Collection[tuple[int, bool]] = frozenset(
-            (base + node, False) for base in (*RPDO, SDO_REQUEST)
-        )
-        self._handlers: dict[int, Callable[[bytes, float], bool]] = {
-            EMCY + node: self._on_emergency,
-            HEARTBEAT + node: self._on_heartbeat,
-            SDO_ANSWER + node: self._on_sdo,
-            TPDO[0] + node: self._on_status,
-            TPDO[1] + node: self._on_motion,
-            TPDO[2] + node: self._on_supply,
-            TPDO[3] + node: lambda data, now: not self._is_mapped,
+        self._is_mapped = False  # whether its PDOs have the mapping of this axis
+        handlers = {
+            EMCY: self._on_emergency,
+            HEARTBEAT: self._on_heartbeat,
+            SDO_ANSWER: self._on_sdo,
+            TPDO[0]: self._on_status,
+            TPDO[1]: self._on_motion,
+            TPDO[2]: self._on_supply,
+            TPDO[3]: lambda data, now: not self._is_mapped,
         }
+        super().__init__(
+            settings,
+            [base + settings.node for base in (*RPDO, SDO_REQUEST)],
+            {base + settings.node: handler for base, handler in handlers.items()},
+        )
+        self.modes: Collection[DriveMode] = frozenset()
         self._counter, self._reasons, self._watch = (
             WrappingCounter(),
             FaultReasons(),
@@ -102,7 +102,6 @@ class Cia402Axis:
         self._bring_up: BringUp | None = None
         self._abilities: Abilities | None = None
         self._units = Units(settings, math.nan)
-        self._is_mapped = False  # whether its PDOs have the mapping of this axis
         self._is_reset_due = False
         self._forget()
 
@@ -117,7 +116,7 @@ class Cia402Axis:
         self._reset: FaultReset | None = None
 
     def configure(self, now: float) -> None:
-        """See `axis.Axis`: NMT pre-operational, SDOs one at a time, NMT start, first reports."""
+        """See `DriveAxis`: NMT pre-operational, SDOs one at a time, NMT start, first reports."""
         if self._watch.loss(now):
             self._restart_counter()  # the drive may have restarted unnoticed
         self._clear()
@@ -131,7 +130,7 @@ class Cia402Axis:
         self._bring_up = BringUp(self.settings)
 
     def reset(self, now: float) -> None:
-        """See `axis.Axis`."""
+        """See `DriveAxis`."""
         self._clear()
         if self._is_configured:
             if self._pds in FAULTS:
@@ -161,14 +160,6 @@ class Cia402Axis:
         self._is_in_mode, self._reset = False, None
 
     # ---- reception ----------------------------------------------------------------------------
-
-    def receive(self, frame: CanFrame, now: float) -> Receipt:
-        """See `axis.Axis`."""
-        handler = None if frame.extended else self._handlers.get(frame.id)
-        if handler is None:
-            return Receipt.FOREIGN
-        accepted = not frame.remote and handler(frame.data, now)
-        return Receipt.ACCEPTED if accepted else Receipt.MALFORMED
 
     def _on_emergency(self, data: bytes, now: float) -> bool:
         message = parse_emergency(data)
@@ -239,10 +230,8 @@ class Cia402Axis:
         if values is None:
             return False
         position, velocity = values
-        feedback = self.feedback
-        feedback.position = self._units.position(self._counter.update(position))
-        feedback.velocity = self._units.velocity(velocity)
-        feedback.at, feedback.count = now, feedback.count + 1
+        angle = self._units.position(self._counter.update(position))
+        self.feedback.measure(angle, self._units.velocity(velocity), now)
         return True
 
     def _on_supply(self, data: bytes, now: float) -> bool:
@@ -298,16 +287,12 @@ class Cia402Axis:
 
     # ---- sending ------------------------------------------------------------------------------
 
-    def tick(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
-        """See `axis.Axis`.
-
-        With a fault reason, DRIVE is treated as STOP.
+    def frames(self, demand: Demand, setpoint: DriveSetpoint, now: float) -> list[CanFrame]:
+        """See `DriveAxis`. With a fault reason, DRIVE is treated as STOP.
 
         Raises:
-            InputError: The setpoint is not finite, or the drive does not support its mode.
+            InputError: The drive does not support the mode of the setpoint.
         """
-        if not (math.isfinite(setpoint.value) and math.isfinite(setpoint.feedforward)):
-            raise InputError(f"{self.settings.name}: setpoint {setpoint} must be finite")
         if self.state is AxisState.CONFIGURING:
             return self._frames_configuring(now)
         if self._is_configured:

@@ -10,6 +10,7 @@ import can
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.platform import Platform
 from omniman_ros.simulation.can_drives.motor import DriveFaults
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters, drive_faults
@@ -142,6 +143,8 @@ class SimulatedBus:
             MotorShaft(self._wheels, k, robot, can.gear_ratio, directions[k])
             for k in range(len(names))
         ]
+        if can.protocol not in PROTOCOLS:
+            raise ParameterError("can.protocol", can.protocol, "has no simulated drives")
         make = PROTOCOLS[can.protocol]
         #: Drives by name of the wheel
         self.drives: dict[str, BusDrive] = {

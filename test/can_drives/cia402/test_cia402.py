@@ -840,9 +840,9 @@ def test_pdos_before_configuration_are_not_feedback():
         (CanFrame(0x205, bytes(7)), Receipt.FOREIGN),
         (CanFrame(0x605, bytes(8)), Receipt.FOREIGN),
         (CanFrame(0x185, bytes(5), extended=True), Receipt.FOREIGN),
-        (CanFrame(0x185, b"", remote=True), Receipt.MALFORMED),
+        (CanFrame(0x185, b"", remote=True), Receipt.FOREIGN),
         # node guarding of another host
-        (CanFrame(0x705, b"\x00", remote=True), Receipt.MALFORMED),
+        (CanFrame(0x705, b"\x00", remote=True), Receipt.FOREIGN),
         (CanFrame(0x185, bytes(4)), Receipt.MALFORMED),
         (CanFrame(0x285, bytes(7)), Receipt.MALFORMED),
         (CanFrame(0x385, bytes(5)), Receipt.MALFORMED),
