@@ -61,6 +61,8 @@ class RobotLog:
     commanded: Array = field(default_factory=lambda: np.zeros((0, 1)))
     #: Measured speed of each wheel [rad/s]
     measured: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Measured angle of each wheel [rad], as it was sent: a counter may wrap
+    angles: Array = field(default_factory=lambda: np.zeros((0, 1)))
     #: Voltage [V], current [A] and energy [J] of each wheel, wheel by wheel
     electrical: Array = field(default_factory=lambda: np.zeros((0, 1)))
     #: Coupling error of each constraint, without resets if it was recorded [rad]
@@ -103,16 +105,19 @@ def robot_namespaces(topics: Iterable[str]) -> list[str]:
     return sorted(found)
 
 
-def read_robot_log(bag: BagReader, namespace: str = "") -> RobotLog:
+def read_robot_log(
+    bag: BagReader, namespace: str = "", wheel_names: tuple[str, ...] = ()
+) -> RobotLog:
     """Read the topics of one robot.
 
-    A message counts if it has as many values as the first message of its topic.
+    A message counts if it has as many values as the first message of its topic, and if its wheels
+    are those of the first one, or of `wheel_names`, whose order the tables then have.
 
     Raises:
         InputError: The recording is damaged.
     """
     prefix = f"/{namespace}/" if namespace else "/"
-    collector = _Collector()
+    collector = _Collector(wheel_names)
     handlers = {
         prefix + name: handler
         for name, handler in collector.handlers.items()
@@ -153,21 +158,21 @@ def reference_errors(poses: Array, reference: Array) -> Array:
 class _Collector:
     """Collects the rows of a robot's tables from messages; the handlers are by topic."""
 
-    def __init__(self) -> None:
+    def __init__(self, wheel_names: tuple[str, ...]) -> None:
         self._stamped: dict[str, list[_Row]] = {}
         """Rows by table, whose time is a stamp."""
         self._unstamped: dict[str, list[_Row]] = {}
         """Rows by table, whose time is the arrival."""
         self._clock = ArrivalClock()
         self._previews: dict[str, list[list[_Row]]] = {}
-        self._names: dict[str, tuple[str, ...]] = {}
+        self._names = {"wheels": wheel_names} if wheel_names else {}
         self._paths: list[Array] = []
         self._sources: list[tuple[float, str]] = []
         self.handlers: dict[str, Callable[[float, Any], None]] = {
             "odom": self._on_odom,
             "ground_truth/odom": self._on_truth,
             "cmd_vel": self._on_twist,
-            "wheel_states": self._wheel_handler("measured"),
+            "wheel_states": self._wheel_handler("measured", "angles"),
             "wheel_commands": self._wheel_handler("commanded"),
             "wheel_electrical": self._on_electrical,
             "coupling_error": self._on_coupling,
@@ -216,16 +221,21 @@ class _Collector:
         row = (arrival, twist.linear.x, twist.linear.y, twist.angular.z)
         _append(self._unstamped, "twist", *row)
 
-    def _wheel_handler(self, table: str) -> Callable[[float, Any], None]:
+    def _wheel_handler(
+        self, speeds: str, angles: str | None = None
+    ) -> Callable[[float, Any], None]:
         def on_wheels(arrival: float, message: Any) -> None:
             names = self._names.setdefault("wheels", tuple(message.name))
-            speeds = message.velocity if len(message.velocity) else np.full(len(names), math.nan)
-            by_name = dict(zip(message.name, speeds, strict=False))
-            if len(speeds) == len(names) and by_name.keys() == set(names):
-                stamp = _seconds(message.header.stamp)
-                # A zero stamp means now.
-                rows = self._stamped if stamp else self._unstamped
-                _append(rows, table, stamp or arrival, *(by_name[wheel] for wheel in names))
+            if set(message.name) != set(names):
+                return
+            stamp = _seconds(message.header.stamp)
+            # A zero stamp means now.
+            rows = self._stamped if stamp else self._unstamped
+            values = message.velocity if len(message.velocity) else [math.nan] * len(names)
+            for table, row in ((speeds, values), (angles, message.position)):
+                if table and len(row) == len(names):
+                    by_name = dict(zip(message.name, row, strict=False))
+                    _append(rows, table, stamp or arrival, *(by_name[wheel] for wheel in names))
 
         return on_wheels
 
