@@ -20,6 +20,10 @@ The public names, each imported when it is first used:
   `MovingObstacles` and `UprightObstacles`. Need casadi.
 * Simulation: `SimulatedDrives` on a plant, or in a `World` of physics, which needs mujoco-core,
   with a `Scene` of `Wall`, `Post`, `Table` and `Person`, or one by `load_scene`, and a `Scanner`.
+* Drives on a CAN bus: `CanDrives` by `CanParameters`; `DriveAxis` with `AxisState`, `Demand` and
+  `CanFrame`, for a protocol of your own; `SimulatedBus`, drives for a master of your own. Need
+  python-can and canopen.
+* Recordings: `read_recording` and `write_recording` of a `RobotLog`. Need rosbags.
 * Errors: `OmnimanError` and its kinds `ParameterError`, `GeometryError`, `InputError`.
 
 Time is an argument of the cores, SI units and radians hold everywhere, x is forward and y left.
@@ -29,6 +33,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from omniman_ros.can_drives.axis import AxisState as AxisState
+    from omniman_ros.can_drives.axis import Demand as Demand
+    from omniman_ros.can_drives.axis import DriveAxis as DriveAxis
+    from omniman_ros.can_drives.drives import CanDrives as CanDrives
+    from omniman_ros.can_drives.frame import CanFrame as CanFrame
     from omniman_ros.collision.moving_obstacles import MovingObstacles as MovingObstacles
     from omniman_ros.collision.upright_obstacles import UprightObstacles as UprightObstacles
     from omniman_ros.control.coupling_controller import CouplingController as CouplingController
@@ -43,6 +52,7 @@ if TYPE_CHECKING:
     from omniman_ros.control.wheel_cascade import WheelCommand as WheelCommand
     from omniman_ros.core.arbiter import Source as Source
     from omniman_ros.core.arm_model import ArmModel as ArmModel
+    from omniman_ros.core.can_parameters import CanParameters as CanParameters
     from omniman_ros.core.errors import GeometryError as GeometryError
     from omniman_ros.core.errors import InputError as InputError
     from omniman_ros.core.errors import OmnimanError as OmnimanError
@@ -71,8 +81,12 @@ if TYPE_CHECKING:
         ObstacleSnapshot as ObstacleSnapshot,
     )
     from omniman_ros.planning.whole_body.task import WholeBodyTask as WholeBodyTask
+    from omniman_ros.recording.recordings import read_recording as read_recording
+    from omniman_ros.recording.recordings import write_recording as write_recording
+    from omniman_ros.recording.robot_log import RobotLog as RobotLog
     from omniman_ros.robot_model import RobotModel as RobotModel
     from omniman_ros.robot_model import load_robot as load_robot
+    from omniman_ros.simulation.can_drives.network import SimulatedBus as SimulatedBus
     from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives as SimulatedDrives
     from omniman_ros.simulation.scene_files import load_scene as load_scene
     from omniman_ros.simulation.world.scanner import Scanner as Scanner
@@ -85,6 +99,9 @@ if TYPE_CHECKING:
 
 #: Modules of the public names, within the package; the imports above are for type checkers
 _PUBLIC = {
+    "can_drives.axis": ("AxisState", "Demand", "DriveAxis"),
+    "can_drives.drives": ("CanDrives",),
+    "can_drives.frame": ("CanFrame",),
     "collision.moving_obstacles": ("MovingObstacles",),
     "collision.upright_obstacles": ("UprightObstacles",),
     "control.coupling_controller": ("CouplingController", "CouplingParameters"),
@@ -96,6 +113,7 @@ _PUBLIC = {
     "control.wheel_cascade": ("DriveMode", "WheelCommand"),
     "core.arbiter": ("Source",),
     "core.arm_model": ("ArmModel",),
+    "core.can_parameters": ("CanParameters",),
     "core.errors": ("GeometryError", "InputError", "OmnimanError", "ParameterError"),
     "core.platform": ("Arm", "Body", "Friction", "Motor", "Platform", "Wheels"),
     "core.preview": ("Preview",),
@@ -112,7 +130,10 @@ _PUBLIC = {
     "planning.planner": ("Planner",),
     "planning.whole_body.obstacle_snapshot": ("ObstacleSnapshot",),
     "planning.whole_body.task": ("WholeBodyTask",),
+    "recording.recordings": ("read_recording", "write_recording"),
+    "recording.robot_log": ("RobotLog",),
     "robot_model": ("RobotModel", "load_robot"),
+    "simulation.can_drives.network": ("SimulatedBus",),
     "simulation.plant.simulated_drives": ("SimulatedDrives",),
     "simulation.scene_files": ("load_scene",),
     "simulation.world.scanner": ("Scanner",),
@@ -121,7 +142,16 @@ _PUBLIC = {
 }
 _MODULES = {name: module for module, names in _PUBLIC.items() for name in names}
 #: Names whose modules need an optional library, by the name of it in `extras`
-_OF_EXTRAS = {"Planner": "PLANNING", "WholeBodyTask": "PLANNING", "World": "WORLD"}
+_OF_EXTRAS = {
+    "CanDrives": "CAN",
+    "Planner": "PLANNING",
+    "RobotLog": "RECORDING",
+    "SimulatedBus": "CAN",
+    "WholeBodyTask": "PLANNING",
+    "World": "WORLD",
+    "read_recording": "RECORDING",
+    "write_recording": "RECORDING",
+}
 
 __all__ = sorted(_MODULES)  # noqa: PLE0605, RUF100  (computed: the table is the one list)
 
