@@ -21,8 +21,8 @@ from omniman_ros.core.errors import InputError, ParameterError
 #: Ratio of a speed that a shaft certainly cannot reach to its largest speed
 IMPOSSIBLE_SPEED = 3.0
 
-#: Uses the data of a report received at a time [s]; returns whether they are valid
-ReportHandler = Callable[[bytes, float], bool]
+#: Uses the data of a report received at a time [s]; returns False if they are not valid
+ReportHandler = Callable[[bytes, float], bool | None]
 
 
 class AxisState(Enum):
@@ -225,7 +225,7 @@ class DriveAxis(ABC):
         if handler is None or frame.remote:
             return Receipt.FOREIGN
         try:
-            return Receipt.ACCEPTED if handler(frame.data, now) else Receipt.MALFORMED
+            return Receipt.MALFORMED if handler(frame.data, now) is False else Receipt.ACCEPTED
         except struct.error:
             return Receipt.MALFORMED
 
@@ -249,6 +249,12 @@ class DriveAxis(ABC):
 
         A setpoint has one of `modes`.
         """
+
+    def wants_power(self, demand: Demand) -> bool:
+        """Whether the motor shall have power: to drive without a fault reason, or as it stops."""
+        if demand is Demand.STOP:
+            return self.state in (AxisState.ENABLED, AxisState.STOPPING)
+        return demand is Demand.DRIVE and not self.fault_reason
 
     def fail(self, state: AxisState, reason: str) -> None:
         """Set the state, and why the drive cannot be driven unless there is a reason already."""

@@ -25,6 +25,7 @@ from omniman_ros.can_drives.axis import (
     Demand,
     DriveAxis,
     DriveSetpoint,
+    ReportHandler,
     WrappingCounter,
 )
 from omniman_ros.can_drives.frame import CanFrame
@@ -102,7 +103,7 @@ class VescAxis(DriveAxis):
 
     def __init__(self, settings: AxisSettings) -> None:
         settings.require_positive("pole_pairs", "torque_constant", "period", "feedback_timeout")
-        handlers = {
+        handlers: dict[PacketId, ReportHandler] = {
             PacketId.STATUS: self._on_status,
             PacketId.STATUS_5: self._on_status_5,
             PacketId.NOTIFY_BOOT: self._on_boot,
@@ -163,7 +164,7 @@ class VescAxis(DriveAxis):
         number = round(min(max(value * SCALES[packet], -MAX_INTEGER), MAX_INTEGER))
         return CanFrame(packet << 8 | self.settings.node, struct.pack(">i", number), extended=True)
 
-    def _on_status(self, data: bytes, now: float) -> bool:
+    def _on_status(self, data: bytes, now: float) -> None:
         speed, current, duty = STATUS_LAYOUT.unpack_from(data)
         feedback, settings = self.feedback, self.settings
         feedback.velocity = speed / (RPM * settings.pole_pairs)
@@ -171,9 +172,9 @@ class VescAxis(DriveAxis):
         feedback.current = current * (-0.1 if duty < 0 else 0.1)
         feedback.torque = feedback.current * settings.torque_constant
         feedback.voltage = self._duty * feedback.bus_voltage
-        return self._count_report(PacketId.STATUS, now)
+        self._count_report(PacketId.STATUS, now)
 
-    def _on_status_5(self, data: bytes, now: float) -> bool:
+    def _on_status_5(self, data: bytes, now: float) -> None:
         reading, supply, _ = STATUS_5_LAYOUT.unpack_from(data)
         counter, previous = self._tachometer, self._tachometer.value
         step = (counter.update(reading) - previous) * self._radians_per_count
@@ -186,9 +187,9 @@ class VescAxis(DriveAxis):
         self.feedback.position = counter.value * self._radians_per_count
         self.feedback.bus_voltage = supply * 0.1
         self.feedback.voltage = self._duty * self.feedback.bus_voltage
-        return self._count_report(PacketId.STATUS_5, now)
+        self._count_report(PacketId.STATUS_5, now)
 
-    def _count_report(self, packet: PacketId, now: float) -> bool:
+    def _count_report(self, packet: PacketId, now: float) -> None:
         self._fresh.add(packet)
         self._received.add(packet)
         if len(self._fresh) == 2:
@@ -196,13 +197,11 @@ class VescAxis(DriveAxis):
             self.feedback.measure(self.feedback.position, self.feedback.velocity, now)
         if self.state is AxisState.CONFIGURING and len(self._received) == 2:
             self.state = AxisState.READY
-        return True
 
-    def _on_boot(self, data: bytes, now: float) -> bool:
+    def _on_boot(self, data: bytes, now: float) -> None:
         self._tachometer.restart()
         self.feedback.restarts += 1
         self._on_restart("it reports a boot")
-        return True
 
     def _on_restart(self, evidence: str) -> None:
         if self.state in (AxisState.READY, AxisState.ENABLED):

@@ -1,8 +1,22 @@
+import math
 import random
+import struct
 
 import pytest
 
-from omniman_ros.can_drives.axis import WrappingCounter
+from omniman_ros.can_drives.axis import (
+    REST,
+    AxisState,
+    Demand,
+    DriveAxis,
+    DriveSetpoint,
+    Receipt,
+    WrappingCounter,
+)
+from omniman_ros.can_drives.frame import CanFrame
+from omniman_ros.control.wheel_cascade import DriveMode
+from omniman_ros.core.errors import InputError
+from test.can_drives.fuzz import settings
 
 SPAN = 1 << 32
 
@@ -62,3 +76,60 @@ def test_first_reading_is_the_origin_after_an_earlier_restart():
     counter = WrappingCounter()
     counter.restart()
     assert counter.update(42) == 42
+
+
+class PlainAxis(DriveAxis):
+    """Reports a velocity in one frame; its frames are kept as setpoints."""
+
+    def __init__(self):
+        super().__init__(settings(), [0x100], {0x180: self._on_report}, extended=True)
+
+    def _on_report(self, data, now):
+        (velocity,) = struct.unpack("<d", data)
+        if not math.isfinite(velocity):
+            return False
+        return self.feedback.measure(0.0, velocity, now)
+
+    def frames(self, demand, setpoint, now):
+        return [setpoint]
+
+
+@pytest.mark.parametrize("state", AxisState)
+@pytest.mark.parametrize("demand", Demand)
+def test_a_setpoint_reaches_the_frames_of_an_enabled_drive_only(state, demand):
+    axis, asked = PlainAxis(), DriveSetpoint(DriveMode.VELOCITY, 1.0)
+    axis.state = state
+    moves = state is AxisState.ENABLED and demand is not Demand.IDLE
+    assert axis.tick(demand, asked, 0.0) == [asked if moves else REST]
+    with pytest.raises(InputError, match="must be finite"):
+        axis.tick(demand, DriveSetpoint(DriveMode.VELOCITY, math.nan), 0.0)
+
+
+@pytest.mark.parametrize("state", AxisState)
+def test_power_is_wanted_to_drive_without_a_fault_and_to_stop_what_has_it(state):
+    axis = PlainAxis()
+    axis.state = state
+    has_power = state in (AxisState.ENABLED, AxisState.STOPPING)
+    assert axis.wants_power(Demand.DRIVE)
+    assert axis.wants_power(Demand.STOP) == has_power
+    assert not axis.wants_power(Demand.IDLE)
+    axis.fail(state, "hot")
+    assert not axis.wants_power(Demand.DRIVE)
+    assert axis.wants_power(Demand.STOP) == has_power
+
+
+@pytest.mark.parametrize(
+    ("frame", "receipt"),
+    [
+        (CanFrame(0x180, struct.pack("<d", 2.0), extended=True), Receipt.ACCEPTED),
+        (CanFrame(0x180, struct.pack("<d", math.nan), extended=True), Receipt.MALFORMED),
+        (CanFrame(0x180, bytes(7), extended=True), Receipt.MALFORMED),
+        (CanFrame(0x180, bytes(8)), Receipt.FOREIGN),
+        (CanFrame(0x180, b"", extended=True, remote=True), Receipt.FOREIGN),
+        (CanFrame(0x100, bytes(8), extended=True), Receipt.FOREIGN),
+    ],
+)
+def test_the_handler_of_an_id_says_whether_the_data_are_valid(frame, receipt):
+    axis = PlainAxis()
+    assert axis.receive(frame, 1.0) is receipt
+    assert axis.feedback.count == (receipt is Receipt.ACCEPTED)
