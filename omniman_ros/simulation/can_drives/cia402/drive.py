@@ -104,7 +104,9 @@ class Cia402Drive:
         local.add_read_callback(self._on_read)
         local.add_write_callback(self._on_write)
         self._values: dict[Key, Value] = {}
-        self._variables = _variables(local.object_dictionary)
+        #: Objects by index and by name, as the drive's EDS would tell them to a master
+        self.object_dictionary: od.ObjectDictionary = local.object_dictionary
+        self._variables = _variables(self.object_dictionary)
         for key, entry in ALL.items():
             self._values[key] = entry.default
         self._errors = Errors(self._values, local.emcy)
