@@ -54,7 +54,7 @@ def test_type_checkers_and_the_interpreter_see_the_same_names():
 
 def test_help_names_every_public_name():
     assert [name for name in om.__all__ if f"`{name}`" not in om.__doc__] == []
-    assert 40 <= len(om.__all__) <= 64
+    assert len(om.__all__) <= 80
 
 
 def test_every_public_name_is_on_a_page_of_the_documentation():
