@@ -5,6 +5,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, flatten, parameter
@@ -164,6 +165,18 @@ class Body:
             return None
         corners: Array = np.column_stack((self.outline_x, self.outline_y))
         return corners if signed_area(corners) > 0.0 else corners[::-1]
+
+    def outline_at(self, pose: Array) -> Array:
+        """Return the corners (K, 2) of outline or bounding box at a pose (3,), in its frame [m].
+
+        They are in order, counter-clockwise.
+        """
+        corners = self.outline
+        if corners is None:
+            half = 0.5 * np.array([self.length, self.width])
+            corners = half * [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]
+        placed: Array = corners @ se2.rotation(float(pose[2]))[:2, :2] + pose[:2]
+        return placed
 
 
 @dataclass(frozen=True, kw_only=True)

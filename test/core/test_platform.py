@@ -82,3 +82,12 @@ def test_the_corners_of_an_outline_are_counter_clockwise_in_either_order():
     np.testing.assert_array_equal(one, np.column_stack((x, y)))
     np.testing.assert_array_equal(other, one)
     assert robot().body.outline is None
+
+
+def test_the_outline_or_the_bounding_box_is_placed_at_a_pose():
+    pose = np.array([1.0, 2.0, 0.5 * np.pi])
+    box = robot().body.outline_at(pose)  # 1.0 m by 0.7 m
+    np.testing.assert_allclose(box, [[0.65, 2.5], [0.65, 1.5], [1.35, 1.5], [1.35, 2.5]])
+    changes = {"body.outline_x": [0.0, 0.3, 0.0], "body.outline_y": [0.0, 0.0, 0.3]}
+    triangle = robot(changes=changes).body.outline_at(pose)
+    np.testing.assert_allclose(triangle, [[1.0, 2.0], [1.0, 2.3], [0.7, 2.0]])
