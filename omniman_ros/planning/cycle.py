@@ -3,10 +3,12 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Self
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.planning.motion import HermiteTrajectory
 
 AT_REST = 0.02  #: Speed below which the robot, or an obstacle, counts as standing [m/s, rad/s]
 
@@ -42,6 +44,12 @@ class MeasuredState:
         plausible.demand(self.pose[:2], plausible.LENGTH, "position")
         plausible.demand(self.pose[2:], plausible.ANGLE, "heading")
         plausible.demand(self.twist, plausible.SPEED, "twist")
+
+    @classmethod
+    def on(cls, motion: HermiteTrajectory, time: float) -> Self:
+        """Return the state at a time [s] of a robot that follows a motion exactly."""
+        pose, velocity = motion.sample(time)
+        return cls(time, pose, se2.to_robot(float(pose[2]), velocity))
 
 
 @dataclass(frozen=True)

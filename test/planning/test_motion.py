@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from omniman_ros.planning.cycle import MeasuredState
 from omniman_ros.planning.motion import BRAKING_STEP, HermiteTrajectory
 
 DECELERATION = (1.5, 4.0)
@@ -196,3 +197,14 @@ def test_fine_samples_continue_at_rest(last):
         rests = times >= motion.end
         np.testing.assert_allclose(velocities[rests], 0.0, atol=1e-9)
         np.testing.assert_allclose(poses[rests] - motion.poses[-1], 0.0, atol=1e-9)
+
+
+def test_a_robot_that_follows_a_motion_has_its_pose_and_its_twist():
+    turned = np.array([[0.0, 0.0, 0.5 * np.pi], [0.0, 1.0, 0.5 * np.pi]])
+    motion = HermiteTrajectory(
+        np.array([1.0, 2.0]), turned, np.tile([0.0, 1.0, 0.0], (2, 1)), np.zeros((1, 4))
+    )
+    state = MeasuredState.on(motion, 1.5)
+    assert state.time == 1.5
+    np.testing.assert_allclose(state.pose, [0.0, 0.5, 0.5 * np.pi])
+    np.testing.assert_allclose(state.twist, [1.0, 0.0, 0.0], atol=1e-12)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
@@ -856,9 +855,9 @@ def test_a_cycle_in_one_call_drives_to_the_goal_past_an_obstacle():
         motion = it.cycle(now, measured, post)
         assert np.abs(motion.sample(motion.end)[1]).max() < 1e-9  # ends at rest
         now += CYCLE
-        there, velocity = motion.sample(now)
-        measured = MeasuredState(now, there, se2.to_robot(float(there[2]), velocity))
-        nearest = min(nearest, true_gaps(np.array([now]), there[None], it.model.half, post).min())
+        measured = MeasuredState.on(motion, now)
+        there = measured.pose[None]
+        nearest = min(nearest, true_gaps(np.array([now]), there, it.model.half, post).min())
     assert it.state is PlannerState.ARRIVED
     np.testing.assert_allclose(measured.pose, [2.0, 0.0, 0.0], atol=0.02)
     assert nearest >= it.parameters.safety.least_clearance

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from omniman_ros.core.arrays import Array
 
@@ -37,6 +37,24 @@ class Ellipses:
         """Return an empty set of obstacles at a time [s]."""
         empty, flat = np.zeros((0, 2)), np.zeros(0)
         return Ellipses(time, empty, empty, empty, flat, flat)
+
+    @staticmethod
+    def circles(
+        time: float, centers: ArrayLike, velocities: ArrayLike, radii: ArrayLike
+    ) -> "Ellipses":
+        """Return M round obstacles, whose motion is known, so that their margins do not grow.
+
+        Args:
+            time: Time at which they are at their centres [s].
+            centers: Centres (M, 2) in odom [m].
+            velocities: Velocities (M, 2) in odom [m/s], or one (2,) for all.
+            radii: Radii (M,) [m], or one for all.
+        """
+        places = np.array(centers, dtype=np.float64).reshape(-1, 2)
+        rates = np.broadcast_to(np.asarray(velocities, dtype=np.float64), places.shape)
+        sizes = np.broadcast_to(np.asarray(radii, dtype=np.float64), len(places))
+        flat = np.zeros(len(places))
+        return Ellipses(time, places, rates, np.column_stack([sizes, sizes]), flat, flat)
 
     def select(self, indices: NDArray[Any]) -> "Ellipses":
         """Return the obstacles with these indices, in their order, or those of a mask."""

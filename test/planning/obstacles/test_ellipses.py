@@ -102,3 +102,12 @@ def test_empty_ellipses_have_zero_length_shapes():
     assert none.centers_at(times).shape == (3, 0, 2)
     assert none.axes_at(times, 0.1).shape == (3, 0, 2)
     assert len(two().select(np.zeros(2, dtype=bool))) == 0
+
+
+def test_circles_keep_their_size_and_may_share_velocity_and_radius():
+    one = Ellipses.circles(1.0, [[0.0, 1.0], [2.0, 3.0]], [0.5, 0.0], 0.3)
+    np.testing.assert_array_equal(one.centers_at(np.array([3.0]))[0], [[1.0, 1.0], [3.0, 3.0]])
+    np.testing.assert_allclose(one.axes_at(np.array([9.0]), 0.1)[0], np.full((2, 2), 0.4))
+    own = Ellipses.circles(0.0, [[0.0, 1.0], [2.0, 3.0]], [[0.0, 1.0], [1.0, 0.0]], [0.3, 0.4])
+    np.testing.assert_array_equal(own.semi_axes, [[0.3, 0.3], [0.4, 0.4]])
+    assert len(Ellipses.circles(0.0, [], [0.0, 0.0], 0.3)) == 0
