@@ -10,7 +10,7 @@ The public names, each imported when it is first used:
 
 * The robot: `load_robot`, `RobotModel`; `Platform` of `Wheels`, `Body`, `Arm`, `Motor` and
   `Friction`; `TwistLimits`.
-* Control, CCTA 2017: `PlatformKinematics`, `PlatformDynamics`, `Odometry` with
+* Control, CCTA 2017: `PlatformKinematics`, `TwistPolytope`, `PlatformDynamics`, `Odometry` with
   `OdometryParameters`, `CouplingController` with `CouplingParameters`; `PlatformController`, which
   is all of it, `Source`, `WheelCommand` and `DriveMode`.
 * Motions along given paths: `PathInterpolator`, `JointInterpolator` with `AxisLimits`,
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from omniman_ros.control.odometry import Odometry as Odometry
     from omniman_ros.control.odometry import OdometryParameters as OdometryParameters
     from omniman_ros.control.platform import PlatformController as PlatformController
+    from omniman_ros.control.twist_polytope import TwistPolytope as TwistPolytope
     from omniman_ros.control.wheel_cascade import DriveMode as DriveMode
     from omniman_ros.control.wheel_cascade import WheelCommand as WheelCommand
     from omniman_ros.core.arbiter import Source as Source
@@ -110,6 +111,7 @@ _PUBLIC = {
     "control.limits": ("TwistLimits",),
     "control.odometry": ("Odometry", "OdometryParameters"),
     "control.platform": ("PlatformController",),
+    "control.twist_polytope": ("TwistPolytope",),
     "control.wheel_cascade": ("DriveMode", "WheelCommand"),
     "core.arbiter": ("Source",),
     "core.arm_model": ("ArmModel",),

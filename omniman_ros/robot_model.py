@@ -10,6 +10,7 @@ from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.control.twist_polytope import TwistPolytope
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
@@ -108,6 +109,11 @@ class RobotModel:
     def kinematics(self) -> PlatformKinematics:
         """Kinematics of the wheels, CCTA 2017 (2) to (14)."""
         return PlatformKinematics(self.wheels)
+
+    @cached_property
+    def reachable_twists(self) -> TwistPolytope:
+        """Twists at which no wheel exceeds its largest speed."""
+        return TwistPolytope(self.kinematics, self.platform.motor.max_speed)
 
     @cached_property
     def whole_body(self) -> WholeBodyModel:
