@@ -1,0 +1,79 @@
+"""The scripts in examples/: each runs as its user runs it, and its figures hold."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("matplotlib")
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("[0-9]*.py"))
+LEAST_SPREAD = 20  #: Least standard deviation of the brightness of a picture that shows something
+
+#: Bounds of the figures that each script prints
+FIGURES = {
+    "01_kinematics": {"constraint_rate": (0.0, 1e-12), "error": (0.0, 1e-12)},
+    "02_reachable_twists": {"of_the_box": (0.1666, 0.1667), "of_the_ellipsoid": (0.318, 0.319)},
+    "03_coupling_control": {"largest_off": (0.05, 0.15), "largest_on": (0.0, 0.02)},
+    "04_mpc": {"arrival": (4.0, 15.0), "gap": (0.1, 1.0)},
+}
+
+
+def run(script, folder):
+    """Return the figures that a script prints."""
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    result = subprocess.run(
+        [sys.executable, script, "--no-show", "--output", folder],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        env=environment | {"PYTHONPATH": str(EXAMPLES.parent)},
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    return {
+        name: float(value)
+        for name, value in re.findall(r"^(\w+) = (\S+)$", result.stdout, re.MULTILINE)
+    }
+
+
+@pytest.mark.processes
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_an_example_runs_and_its_figures_hold(script, tmp_path):
+    from matplotlib import image
+
+    figures = run(script, tmp_path)
+    bounds = FIGURES[script.stem]
+    assert set(figures) == set(bounds)
+    for name, (low, high) in bounds.items():
+        assert low <= figures[name] <= high, name
+    picture = image.imread(tmp_path / f"{script.stem}.png")
+    assert 255.0 * picture[..., :3].std() > LEAST_SPREAD
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_an_example_is_short_and_uses_the_front_door(script):
+    text = script.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 50
+    tree = ast.parse(text)
+    imported = [
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import)
+        for alias in node.names
+    ]
+    modules = [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    assert [name for name in [*imported, *modules] if "omniman" in name] == ["omniman_ros"]
+
+
+def test_the_table_lists_each_example():
+    table = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^\| \[(\w+\.py)\]\(\1\) \| ", table, re.MULTILINE) == [
+        script.name for script in SCRIPTS
+    ]
