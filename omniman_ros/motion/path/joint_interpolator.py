@@ -76,7 +76,7 @@ class JointInterpolator:
     """
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions) -> None:
-        self.planner = JointPlanner(limits, options, TICK)
+        self.planner = JointPlanner(limits, options)
         self.state = PathState.IDLE
         self._motion: JointMotion | None = None
         # Motions that were replaced, each after the time at which it was replaced [s].

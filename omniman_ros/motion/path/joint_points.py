@@ -10,6 +10,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path import spline_derivatives
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
+from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.planner import MAX_DURATION, PathPlanner
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.path.trajectory import Trajectory
@@ -106,11 +107,11 @@ class KinematicState:
 class JointPlanner:
     """Plans motions of all axes through points of some; the other axes keep their positions."""
 
-    def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions, dt: float) -> None:
-        self.limits, self.options, self._dt = limits, options, dt
+    def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions) -> None:
+        self.limits, self.options = limits, options
         scale = 1.0 - options.reserve
         groups = limits.groups(scale, options.corner_tolerance)
-        self._planner = PathPlanner(groups, dt, limits.speed_cap(scale))
+        self._planner = PathPlanner(groups, TICK, limits.speed_cap(scale))
 
     def timed(self, points: JointPoints, state: KinematicState) -> TimedCurve:
         """Plan the motion that keeps the times of the points, from a state on.
@@ -153,6 +154,18 @@ class JointPlanner:
         self.limits.require_kept(curve, self.options.jerk_scale)
         return curve
 
+    def through(self, positions: Array, start: Array) -> TimedCurve:
+        """Plan the fastest motion of all axes on one path, from rest at a start (d,) to rest.
+
+        Between positions (k, d), all axes are in step: at any time, each has covered the same
+        fraction of its way. Corners are cut by `joint_trajectory.corner_tolerance`; at 0, the
+        motion stops there.
+
+        Raises:
+            InputError: As for :meth:`fastest`.
+        """
+        return self.fastest(JointPoints(tuple(range(positions.shape[1])), None, positions), start)
+
     def fastest(self, points: JointPoints, position: Array) -> TimedCurve:
         """Plan the fastest motion within the limits from rest through points without times.
 
@@ -167,8 +180,8 @@ class JointPlanner:
         places[:, list(points.columns)] = points.positions
         self.limits.require_within(places)
         plan = self._planner.plan(np.vstack([position, places]))
-        motion = Trajectory(0.0, self._dt, plan.ticks, self._planner.smoother)
-        times: Array = self._dt * np.arange(len(motion.positions), dtype=float)
+        motion = Trajectory(0.0, TICK, plan.ticks, self._planner.smoother)
+        times: Array = TICK * np.arange(len(motion.positions), dtype=float)
         return TimedCurve(times, motion.positions, motion.velocities, motion.accelerations)
 
     def _started(self, points: JointPoints, state: KinematicState) -> JointPoints:

@@ -14,7 +14,6 @@ from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.joint_points import JointPlanner
 from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget
-from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.point_stream import PointStream
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
@@ -35,7 +34,7 @@ class ArmInterface(JointInterface):
 
     def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
         """Set new parameters, which apply from the next trajectory on."""
-        self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options, TICK)
+        self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options)
 
     def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory; see the base class."""

@@ -9,7 +9,6 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.axes import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
-from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
@@ -43,7 +42,7 @@ class WholeBodyInterface(BodyInterface, JointInterface):
     def configure(self, new: PathInterpolatorParameters) -> None:
         """Set new parameters, which apply from the next trajectory on."""
         limits = WholeBodyLimits.of_whole_body(new.core, new.arm)
-        self.core.planner = JointPlanner(limits, new.joint_trajectory, TICK)
+        self.core.planner = JointPlanner(limits, new.joint_trajectory)
         if self._tool is not None:
             self._tool.correction.options = new.tool_path
 

@@ -10,7 +10,7 @@ from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
-from omniman_ros.motion.path.joint_points import JointPoints
+from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
 from test.motion.path.support import DT
 
 LIMITS = AxisLimits.of_arm(ArmParameters())
@@ -251,3 +251,13 @@ def test_a_replaced_motion_can_be_sampled_for_a_while():
     again = core.sample(np.array([since - 0.012]))
     assert again[0] == pytest.approx(expected[0]) and again[1] == pytest.approx(expected[1])
     assert abs(expected[1][0, 0]) > 0.5
+
+
+def test_between_two_points_all_joints_are_in_step():
+    planner = JointPlanner(LIMITS, build(JointTrajectoryOptions, {}))
+    end = HOME + [0.4, -0.3, 1.0, 0.2, -0.7, 0.0]
+    curve = planner.through(end[None], HOME)
+    covered = (curve.sample(np.linspace(0.0, curve.duration, 50))[0] - HOME)[:, :5]
+    fractions = covered / (end - HOME)[:5]
+    np.testing.assert_allclose(fractions, fractions[:, :1].repeat(5, axis=1), atol=1e-9)
+    np.testing.assert_allclose(fractions[[0, -1], 0], [0.0, 1.0], atol=1e-9)
