@@ -57,6 +57,17 @@ class Scanner:
         self._latest = self._measure()
         return self._latest
 
+    def points(self, ranges: Array) -> Array:
+        """Return where ranges (beams,) end in the world from its present pose, (k, 2) [m].
+
+        Beams that meet nothing in their range are left out.
+        """
+        position, rotation = self._world.base_frame
+        met = np.isfinite(ranges)
+        ends = self._origin + ranges[met, None] * self._directions[met]
+        points: Array = (position + ends @ rotation.T)[:, :2]
+        return points
+
     def _measure(self) -> Array:
         p = self.parameters
         position, rotation = self._world.base_frame

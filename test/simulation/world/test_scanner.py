@@ -62,6 +62,17 @@ def test_ranges_are_those_of_the_geometry(pose):
     assert np.isinf(ranges[np.isinf(expected)]).all()
 
 
+def test_points_lie_on_what_the_beams_meet():
+    bench = ideal("ig42", Scene(walls=(WALL,)))
+    bench.world.set_pose((0.4, -0.3, 1.1))
+    scanner = Scanner(bench.world, replace(FLAT, sees_robot=False))
+    ranges = scanner.scan()
+    points = scanner.points(ranges)
+    assert len(points) == np.isfinite(ranges).sum() > 200
+    on_the_side = np.abs(points[:, 1]) < 4.9
+    np.testing.assert_allclose(points[on_the_side, 0], 2.9, atol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["omniman", "ig42"])
 def test_by_default_the_robot_is_in_the_way_of_no_beam(name):
     scanner = Scanner(ideal(name).world, build(ScannerParameters, {}))
