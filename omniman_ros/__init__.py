@@ -13,8 +13,8 @@ The public names, each imported when it is first used:
 * Control, CCTA 2017: `PlatformKinematics`, `TwistPolytope`, `PlatformDynamics`, `Odometry` with
   `OdometryParameters`, `CouplingController` with `CouplingParameters`; `PlatformController`, which
   is all of it, `Source`, `WheelCommand` and `DriveMode`.
-* Motions along given paths: `PathInterpolator`, `JointInterpolator` with `AxisLimits`,
-  `ToolPlanner`; `ArmModel`, `WholeBodyModel`; `Preview` and `HermiteTrajectory`.
+* Motions along given paths: `PathInterpolator`; `JointInterpolator`, `JointPlanner` and
+  `AxisLimits`; `ToolPlanner`; `ArmModel`, `WholeBodyModel`; `Preview` and `HermiteTrajectory`.
 * Planning among obstacles, MPC 2021 and beyond: `Planner` with `MeasuredState`, `PoseGoal`,
   `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask` with `ObstacleSnapshot`,
   `MovingObstacles` and `UprightObstacles`. Need casadi.
@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from omniman_ros.motion.path.axis_limits import AxisLimits as AxisLimits
     from omniman_ros.motion.path.interpolator import PathInterpolator as PathInterpolator
     from omniman_ros.motion.path.joint_interpolator import JointInterpolator as JointInterpolator
+    from omniman_ros.motion.path.joint_points import JointPlanner as JointPlanner
     from omniman_ros.motion.whole_body.model import WholeBodyModel as WholeBodyModel
     from omniman_ros.motion.whole_body.tool_planner import ToolPlanner as ToolPlanner
     from omniman_ros.planning.cycle import MeasuredState as MeasuredState
@@ -122,6 +123,7 @@ _PUBLIC = {
     "motion.path.axis_limits": ("AxisLimits",),
     "motion.path.interpolator": ("PathInterpolator",),
     "motion.path.joint_interpolator": ("JointInterpolator",),
+    "motion.path.joint_points": ("JointPlanner",),
     "motion.whole_body.model": ("WholeBodyModel",),
     "motion.whole_body.tool_planner": ("ToolPlanner",),
     "planning.cycle": ("MeasuredState",),
