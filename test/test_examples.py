@@ -21,6 +21,10 @@ FIGURES = {
     "02_reachable_twists": {"of_the_box": (0.1666, 0.1667), "of_the_ellipsoid": (0.318, 0.319)},
     "03_coupling_control": {"largest_off": (0.05, 0.15), "largest_on": (0.0, 0.02)},
     "04_mpc": {"arrival": (4.0, 15.0), "gap": (0.1, 1.0)},
+    "05_world_and_scan": {"odometry_error": (1e-4, 0.05)},
+    "06_arm_and_platform_in_step": {"duration": (3.0, 6.0), "largest_usage": (0.7, 0.9)},
+    "07_tool_on_its_path": {"length": (3.4, 3.7), "duration": (10.0, 30.0), "error": (0.0, 1e-6)},
+    "08_whole_body_around_a_post": {"arrival": (6, 18), "gap": (0.03, 0.5), "off": (0.0, 1e-6)},
 }
 
 
