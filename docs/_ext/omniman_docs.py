@@ -9,14 +9,19 @@ Directives:
 * ``listening-sockets``: the table of sockets on which the robot listens.
 * ``figures NAME``: the table of ``results/NAME.json``.
 
-The pages of the API reference, one per package, are written to ``api/`` before the build, and the
-changelog is copied from the root of the repository.
+Before the build, the pages of the API reference, one per package, are written to ``api/``, a page
+for each example to ``examples/``, and the changelog is copied from the root of the repository.
 """
 
+import ast
 import importlib.util
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +30,7 @@ from docutils.statemachine import StringList
 from sphinx.application import Sphinx
 from sphinx.config import Config
 from sphinx.ext.autodoc.mock import mock
+from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 PACKAGE = "omniman_ros"
@@ -219,9 +225,7 @@ def write_api_pages(app: Sphinx) -> None:
     for stale in set(folder.glob("*.rst")) - {folder / f"{name}.rst" for name in pages}:
         stale.unlink()
     for name, text in pages.items():
-        path = folder / f"{name}.rst"
-        if not path.is_file() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
+        _write(folder / f"{name}.rst", text)
 
 
 def copy_changelog(app: Sphinx) -> None:
@@ -234,6 +238,70 @@ def copy_changelog(app: Sphinx) -> None:
         page.write_text(source.read_text(encoding="utf-8"), encoding="utf-8")
     else:
         page.write_text("# Changelog\n\nSee `CHANGELOG.md` in the repository.\n", encoding="utf-8")
+
+
+def write_example_pages(app: Sphinx) -> None:
+    """Write a page for each script in examples/: its docstring, picture, figures and code.
+
+    The scripts run for this, as far as they or the package are newer than their pictures.
+    """
+    import omniman_ros
+
+    package = Path(omniman_ros.__file__).resolve().parent
+    source, folder = package.parent / "examples", Path(app.srcdir, "examples")
+    folder.mkdir(exist_ok=True)
+    scripts = sorted(source.glob("[0-9]*.py"))
+    for stale in folder.glob("[0-9]*"):
+        if stale.stem not in [script.stem for script in scripts]:
+            stale.unlink()
+    readme = source / "README.md"
+    index = readme.read_text(encoding="utf-8") if scripts else "# Examples\n\nSee `examples/`.\n"
+    pages = "\n".join(script.stem for script in scripts)
+    index = re.sub(r"\((\w+)\.py\)", r"(\1.md)", index)
+    _write(folder / "index.md", f"{index}\n```{{toctree}}\n:hidden:\n\n{pages}\n```\n")
+    changed = max(path.stat().st_mtime for path in (*package.rglob("*.py"), *source.glob("*.py")))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for script, error in zip(
+            scripts, pool.map(lambda script: _run(script, folder, changed), scripts), strict=True
+        ):
+            if error:
+                logging.getLogger(__name__).warning("%s: %s", script.name, error)
+            _write(folder / f"{script.stem}.md", "\n".join(_example_page(script, folder)))
+
+
+def _run(script: Path, folder: Path, changed: float) -> str:
+    """Have a script write its picture and its figures, unless they are new; return its error."""
+    picture, figures = folder / f"{script.stem}.png", folder / f"{script.stem}.txt"
+    if not picture.is_file() or picture.stat().st_mtime < changed:
+        result = subprocess.run(
+            [sys.executable, script, "--no-show", "--output", folder],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(script.parent.parent)},
+        )
+        lines = result.stdout.splitlines()
+        figures.write_text("\n".join(line for line in lines if " = " in line), encoding="utf-8")
+        return result.stderr if result.returncode else ""
+    return ""
+
+
+def _example_page(script: Path, folder: Path) -> Iterator[str]:
+    code = script.read_text(encoding="utf-8")
+    title, _, text = (ast.get_docstring(ast.parse(code)) or "").partition("\n")
+    yield from (f"# {title.rstrip('.')}", text, "")
+    if (folder / f"{script.stem}.png").is_file():
+        yield from (f"![{title}]({script.stem}.png)", "")
+    figures = (folder / f"{script.stem}.txt").read_text(encoding="utf-8")
+    yield from ("```text", f"$ .venv/bin/python examples/{script.name}", figures, "```", "")
+    yield from (f"`examples/{script.name}`:", "", "```python")
+    yield from (code.partition('"""\n\n')[2], "```", "")
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a page if its text has changed, so that Sphinx does not read it again in vain."""
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
 
 
 def _api_page(name: str, modules: list[str], below: list[str]) -> Iterator[str]:
@@ -350,6 +418,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("figures", Figures)
     app.connect("config-inited", add_stand_ins)
     app.connect("builder-inited", write_api_pages)
+    app.connect("builder-inited", write_example_pages)
     app.connect("builder-inited", copy_changelog)
     # Before napoleon, which makes markup of its own.
     app.connect("autodoc-process-docstring", make_docstrings_safe, priority=100)
