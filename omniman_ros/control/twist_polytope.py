@@ -17,7 +17,7 @@ ROUND_OFF = 1e-9  #: Excess over a limit, relative to it, that is round-off
 class TwistPolytope:
     """Twists x'_R = (x', y', theta') at which no wheel exceeds its largest speed.
 
-    |J x'_R| <= phi'_max in each row, with phi' = J x'_R of CCTA 2017 (9). Each wheel bounds the
+    In each row |J x'_R| <= phi'_max, with phi' = J x'_R of CCTA 2017 (9). Each wheel bounds the
     set by two opposite planes: it is convex, and symmetric about zero. Four equal Mecanum wheels
     at (+-a, +-b) give the octahedron |x'| + |y'| + (a + b) |theta'| <= r phi'_max.
 
