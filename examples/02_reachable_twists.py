@@ -24,6 +24,7 @@ def main() -> dict[str, float]:
     twists = om.load_robot("omniman").reachable_twists
     largest = twists.maxima  # [m/s, m/s, rad/s]
     box, ellipsoid = 8 * largest.prod(), 4 / 3 * np.pi * largest.prod()
+
     figure = pyplot.figure(figsize=(8, 3.8))
     axes = figure.add_subplot(1, 2, 1, aspect="equal", xlabel="forward [m/s]", ylabel="left [m/s]")
     x, y, yaw_rate = largest
@@ -34,7 +35,6 @@ def main() -> dict[str, float]:
     axes.fill(*twists.section(0.5 * yaw_rate).T, facecolor="none", edgecolor=DARK, linestyle="--")
     for text, at in LABELS.items():
         axes.annotate(text, (at * x, at * y), ha="center", va="center", color=INK)
-
     axes = figure.add_subplot(1, 2, 2, projection="3d")
     axes.add_collection3d(Poly3DCollection(twists.faces, color=DARK, alpha=0.35, edgecolor=DARK))
     axes.set(xlim=(-x, x), ylim=(-y, y), zlim=(-yaw_rate, yaw_rate), xticks=[-1, 0, 1])

@@ -1,8 +1,10 @@
 """The scripts in examples/: each runs as its user runs it, and its figures hold."""
 
 import ast
+import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ pytest.importorskip("matplotlib")
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("[0-9]*.py"))
+NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))
 LEAST_SPREAD = 20  #: Least standard deviation of the brightness of a picture that shows something
 
 #: Bounds of the figures that each script prints
@@ -26,6 +29,17 @@ FIGURES = {
     "07_tool_on_its_path": {"length": (3.4, 3.7), "duration": (10.0, 30.0), "error": (0.0, 1e-6)},
     "08_whole_body_around_a_post": {"arrival": (6, 18), "gap": (0.03, 0.5), "off": (0.0, 1e-6)},
 }
+
+
+def named(path):
+    return path.stem
+
+
+def require_held(name, figures):
+    """Require that the figures of an example are within their bounds."""
+    assert set(figures) == set(FIGURES[name])
+    for figure, (low, high) in FIGURES[name].items():
+        assert low <= figures[figure] <= high, figure
 
 
 def run(script, folder):
@@ -48,20 +62,16 @@ def run(script, folder):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+@pytest.mark.parametrize("script", SCRIPTS, ids=named)
 def test_an_example_runs_and_its_figures_hold(script, tmp_path):
     from matplotlib import image
 
-    figures = run(script, tmp_path)
-    bounds = FIGURES[script.stem]
-    assert set(figures) == set(bounds)
-    for name, (low, high) in bounds.items():
-        assert low <= figures[name] <= high, name
+    require_held(script.stem, run(script, tmp_path))
     picture = image.imread(tmp_path / f"{script.stem}.png")
     assert 255.0 * picture[..., :3].std() > LEAST_SPREAD
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+@pytest.mark.parametrize("script", SCRIPTS, ids=named)
 def test_an_example_is_short_and_uses_the_front_door(script):
     text = script.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 50
@@ -81,3 +91,28 @@ def test_the_table_lists_each_example():
     assert re.findall(r"^\| \[(\w+\.py)\]\(\1\) \| ", table, re.MULTILINE) == [
         script.name for script in SCRIPTS
     ]
+
+
+def test_the_notebooks_are_made_from_the_scripts():
+    """`.ci/notebooks` makes them anew."""
+    maker = runpy.run_path(str(EXAMPLES.parent / ".ci" / "notebooks"))
+    assert [path.stem for path in NOTEBOOKS] == list(maker["NAMES"])
+    for path in NOTEBOOKS:
+        assert path.read_text(encoding="utf-8") == maker["notebook"](path.with_suffix(".py"))
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=named)
+def test_a_notebook_runs_cell_by_cell_and_its_figures_hold(path, monkeypatch):
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("agg")
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    *codes, last = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    *statements, shown = ast.parse(last).body
+    variables = {}
+    for code in (*codes, ast.Module(statements, [])):
+        exec(compile(code, path, "exec"), variables)
+    require_held(path.stem, eval(ast.unparse(shown), variables))
+    pyplot.close("all")

@@ -258,6 +258,7 @@ def write_example_pages(app: Sphinx) -> None:
     index = readme.read_text(encoding="utf-8") if scripts else "# Examples\n\nSee `examples/`.\n"
     pages = "\n".join(script.stem for script in scripts)
     index = re.sub(r"\((\w+)\.py\)", r"(\1.md)", index)
+    index = re.sub(r"\[(\w+)\]\(\w+\.ipynb\)", r"\1", index)
     _write(folder / "index.md", f"{index}\n```{{toctree}}\n:hidden:\n\n{pages}\n```\n")
     changed = max(path.stat().st_mtime for path in (*package.rglob("*.py"), *source.glob("*.py")))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
