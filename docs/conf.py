@@ -46,7 +46,7 @@ smartquotes = False
 # Short type names in signatures are ambiguous between packages.
 suppress_warnings = ["ref.python"]
 
-myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "deflist", "attrs_inline", "dollarmath", "amsmath"]
 myst_heading_anchors = 3
 
 autodoc_default_options = {"members": True, "member-order": "bysource"}
