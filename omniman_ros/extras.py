@@ -46,6 +46,12 @@ CAN = Extra(
 FILM = Extra(("PIL",), "films need Pillow", "pillow")
 PLANNING = Extra(("casadi",), "the planner needs casadi", "casadi")
 RECORDING = Extra(("rosbags",), "recordings need rosbags", "rosbags")
+ROS = Extra(
+    ("rclpy",),
+    "ROS 2 is not installed here. On a ROS 2 machine: source /opt/ros/jazzy/setup.bash first. "
+    "Elsewhere",
+    "'omniman_ros[ros]'",
+)
 TRACKING = Extra(("scipy",), "the obstacle tracker needs scipy", "scipy")
 VIEWER = Extra(("viser",), "the viewer needs viser", "'viser==1.1.*' websockets")
 WORLD = Extra(("mujoco",), "the physics world needs mujoco-core", "'mujoco-core==4.*'")

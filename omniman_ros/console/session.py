@@ -29,19 +29,31 @@ class Session:
     Args:
         events: Whether to use the events executor, which is leaner and more punctual.
         sim_time: Whether time is that of /clock. All durations are then simulated.
+        domain: ROS domain; None for that of the environment.
     """
 
     def __init__(
-        self, name: str, namespace: str = "", events: bool = True, sim_time: bool = False
+        self,
+        name: str,
+        namespace: str = "",
+        events: bool = True,
+        sim_time: bool = False,
+        domain: int | None = None,
     ) -> None:
         self._name = name
         self._namespace = namespace
         self._events = events
         self._sim_time = sim_time
+        self._domain = domain
 
     def __enter__(self) -> Self:
         self.context = rclpy.Context()
-        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=[],
+            context=self.context,
+            domain_id=self._domain,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
         self.node = Node(
             self._name,
             namespace=self._namespace,

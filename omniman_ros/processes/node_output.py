@@ -49,6 +49,11 @@ class NodeOutputLog:
         if self._verbose:
             say(f"[{name}] {line}", sys.stderr)
 
+    @property
+    def text(self) -> str:
+        """The kept lines."""
+        return "\n".join(self._lines)
+
     def find(self, name: str, pattern: re.Pattern[str]) -> str:
         """Return the group of a pattern in a node's latest kept line that matches it, or ""."""
         for line in reversed(self._lines):
@@ -60,4 +65,4 @@ class NodeOutputLog:
     def show(self) -> None:
         """Print the kept lines, unless all lines have been printed already."""
         if self._lines and not self._verbose:
-            say("the last output of the nodes:\n" + "\n".join(self._lines), sys.stderr)
+            say(f"the last output of the nodes:\n{self.text}", sys.stderr)
