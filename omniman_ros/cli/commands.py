@@ -39,12 +39,12 @@ COMMANDS = {
         add_teleop,
     ),
     "goal": Subcommand(
-        "omniman_ros.cli.goal",
+        "omniman_ros.cli.motion",
         "send the robot to a goal among obstacles; Ctrl-C cancels",
         add_goal,
     ),
     "tool": Subcommand(
-        "omniman_ros.cli.tool",
+        "omniman_ros.cli.motion",
         "move the tool along a straight line to a position; Ctrl-C cancels",
         add_tool,
     ),

@@ -4,33 +4,21 @@ import argparse
 import shutil
 import sys
 import time
-from typing import Any
-
-from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Twist as TwistMsg
-from geometry_msgs.msg import TwistStamped
-from nav_msgs.msg import Odometry
-from rclpy.duration import Duration
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from omniman_ros.cli.teleop_keys import SCALE_STEP, KeyTeleop, split_keys
+from omniman_ros.client.robot import Robot
+from omniman_ros.client.state import NodeAnswer, RobotError
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.formatting import pose_text
 from omniman_ros.console.keyboard import Keyboard
-from omniman_ros.console.preview_messages import twist_message
-from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say
-from omniman_ros.conversions.geometry import yaw_from_quaternion
-from omniman_ros.core.framing import CmdVelFraming, Twist
-from omniman_ros.nodes.stoppable_nodes import find_stoppable_nodes, has_service
+from omniman_ros.core.framing import Twist
 from omniman_ros.processes.process_group import redirect_signals
 
-PERIOD = 0.05  #: Period of `cmd_vel` [s]
-#: Quality of service of topics that repeat their last messages to late subscribers
-LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-CONTROLLER = "platform_controller"  #: Name of the node that stops the platform
+PERIOD = 0.05  #: Time between two looks at the keyboard [s]
+SEARCH_TIMEOUT = 1.0  #: Time within which nodes must be found that can be stopped [s]
 
 #: Help that is shown at the start
 HELP_TEXT = """\
@@ -44,98 +32,55 @@ Two keys pressed at once add up (w and e: a curve); a key pressed later replaces
 
 
 class Teleop:
-    """The ROS interface of teleoperation: publishes twists, calls services, tracks the robot."""
+    """Drives a robot, and tells its state in one line.
 
-    def __init__(self, session: Session, stamped: bool) -> None:
-        node = self._node = session.node
-        self._session = session
-        self._stamped = stamped
-        self._publisher = node.create_publisher(
-            TwistStamped if stamped else TwistMsg, "cmd_vel", 1
-        )
-        self._futures: dict[str, Any] = {}
-        self._clients: dict[str, Any] = {}
-        self._source = "no robot yet"
-        self._pose = ""
-        self._stop_states: dict[str, tuple[bool, str]] = {}
+    Attributes:
+        note: The latest event.
+    """
+
+    def __init__(self, robot: Robot, pool: ThreadPoolExecutor) -> None:
+        self._robot, self._pool = robot, pool
+        self._call: Future[tuple[NodeAnswer, ...]] | None = None
         self.note = ""
-        node.create_subscription(String, "active_source", self._on_source, LATCHED)
-        node.create_subscription(Odometry, "odom", self._on_odom, 1)
-        node.create_subscription(DiagnosticStatus, "stop_state", self._on_state, LATCHED)
-        self._stop_service = f"{node.get_namespace().rstrip('/')}/{CONTROLLER}/stop"
-        self._client(self._stop_service)  # early, so that the service is discovered in time
 
-    def publish(self, twist: Twist) -> None:
-        """Publish a body twist [m/s, m/s, rad/s]."""
-        message: Any = twist_message(twist)
-        if self._stamped:
-            message = TwistStamped(twist=message)
-            message.header.stamp = self._node.get_clock().now().to_msg()
-            message.header.frame_id = "base_link"
-        self._publisher.publish(message)
-
-    def finish(self) -> None:
-        """Publish zero twists, and wait until they have arrived."""
-        for _ in range(3):
-            self.publish((0.0, 0.0, 0.0))
-        self._publisher.wait_for_all_acked(Duration(seconds=1))
+    def drive(self, twist: Twist | None) -> None:
+        """Drive with a twist [m/s, m/s, rad/s], or brake if there is none."""
+        if twist is None:
+            self._robot.halt()
+            return
+        try:
+            self._robot.drive(*twist)
+        except RobotError as error:
+            self.note = str(error)
 
     def stop(self) -> None:
-        """Stop the platform, which latches; the robot's other nodes hold with it."""
-        if not self._client(self._stop_service).service_is_ready():
-            self.note = f"NO STOP: {self._stop_service} is not available"
-            return
-        self._call(self._stop_service)
+        """Stop the robot until it is reset."""
+        self._robot.halt()
+        self._begin("stop", self._robot.stop)
 
     def reset(self) -> None:
         """Reset every stopped node of the robot."""
-        names = find_stoppable_nodes(self._node, self._node.get_namespace())
-        if not names:
-            self.note = "no node to reset"
-        for name in names:
-            if has_service(self._node, f"{name}/reset"):
-                self._call(f"{name}/reset")
+        self._begin("reset", self._robot.reset)
 
-    def _client(self, service: str) -> Any:
-        if service not in self._clients:
-            self._clients[service] = self._node.create_client(Trigger, service)
-        return self._clients[service]
-
-    def _call(self, service: str) -> None:
-        self._futures[service] = self._client(service).call_async(Trigger.Request())
-        self.note = f"{service} ..."
+    def _begin(self, action: str, call: Callable[[float], tuple[NodeAnswer, ...]]) -> None:
+        # Another thread waits for the answers, while this one serves the keyboard.
+        self._call, self.note = self._pool.submit(call, SEARCH_TIMEOUT), f"{action} ..."
 
     def collect_answers(self) -> None:
-        """Put the answers of services that have arrived into `note`."""
-        for service, future in list(self._futures.items()):
-            if future.done():
-                del self._futures[service]
-                answer = future.result()
-                verdict = "done" if answer.success else f"REFUSED: {answer.message}"
-                self.note = f"{service} {verdict}"
-
-    def _on_source(self, message: String) -> None:
-        self._source = message.data
-
-    def _on_odom(self, message: Odometry) -> None:
-        pose = message.pose.pose
-        self._pose = pose_text(
-            (pose.position.x, pose.position.y, yaw_from_quaternion(pose.orientation))
-        )
-
-    def _on_state(self, message: DiagnosticStatus) -> None:
-        is_stopped = message.level == DiagnosticStatus.ERROR
-        self._stop_states[message.name] = (is_stopped, message.message)
+        """Put the answers to a stop or a reset into `note` when they have arrived."""
+        if self._call is None or not self._call.done():
+            return
+        call, self._call = self._call, None
+        try:
+            self.note = self.note.replace("...", f"of {len(call.result())} nodes done")
+        except RobotError as error:
+            self.note = f"NO {self.note.replace(' ...', '').upper()}: {error}"
 
     def _stop_text(self) -> str:
-        stopped = [
-            f"{name.rpartition('/')[2]} {reason}"
-            for name, (is_stopped, reason) in sorted(self._stop_states.items())
-            if is_stopped
-        ]
-        if stopped:
-            return "; ".join(stopped) + " (r: reset)"
-        return "free" if self._stop_states else "no stop_state"
+        stopped = self._robot.stop_reason
+        if not stopped.is_known:
+            return "no stop_state"
+        return f"{stopped.value} (r: reset)" if stopped.value else "free"
 
     def status(self, twist: Twist | None, keys: KeyTeleop) -> str:
         """Return the status line.
@@ -145,10 +90,11 @@ class Teleop:
         """
         x, y, yaw_rate = twist or (0.0, 0.0, 0.0)
         linear, angular = keys.speeds
+        source, pose = self._robot.active_source, self._robot.pose
         parts = [
-            f"{self._source:<7}",
+            f"{source.value if source.is_known else 'no robot yet':<7}",
             f"{x:+.2f} {y:+.2f} m/s {yaw_rate:+.2f} rad/s",
-            self._pose or "no odom",
+            pose_text(pose.value) if pose.is_known else "no odom",
             self._stop_text(),
             f"keys {linear:.2f} m/s {angular:.2f} rad/s",
             self.note,
@@ -164,7 +110,6 @@ def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
         return True
     if key == " ":
         keys.release()
-        teleop.publish((0.0, 0.0, 0.0))
         teleop.stop()
     elif key == "r":
         keys.release()
@@ -176,11 +121,8 @@ def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
     return True
 
 
-def teleoperate(
-    keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session, signals: list[int]
-) -> None:
-    """Serve keys and ROS until the user quits, a signal is received or the terminal is gone."""
-    framing = CmdVelFraming()
+def teleoperate(keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, signals: list[int]) -> None:
+    """Serve the keys until the user quits, a signal is received or the terminal is gone."""
     due = time.monotonic()
     while not signals:
         text = keyboard.read()
@@ -190,9 +132,8 @@ def teleoperate(
         for key in split_keys(text):
             if not handle_key(key, now, keys, teleop):
                 return
-        twist = framing.next(keys.twist(now))
-        if twist is not None:
-            teleop.publish(twist)
+        twist = keys.twist(now)
+        teleop.drive(twist)
         teleop.collect_answers()
         line = teleop.status(twist, keys)[: shutil.get_terminal_size().columns - 1]
         try:
@@ -201,7 +142,7 @@ def teleoperate(
         except OSError:
             return
         due = max(due + PERIOD, now)
-        session.spin(due - time.monotonic())
+        time.sleep(max(due - time.monotonic(), 0.0))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -214,13 +155,13 @@ def run(args: argparse.Namespace) -> int:
     with (
         Keyboard() as keyboard,
         redirect_signals(signals.append),
-        Session("omniman_teleop", args.namespace) as session,
+        Robot(args.namespace) as robot,
+        ThreadPoolExecutor() as pool,
     ):
-        teleop = Teleop(session, args.stamped)
         say(HELP_TEXT)
         try:
-            teleoperate(keyboard, keys, teleop, session, signals)
+            teleoperate(keyboard, keys, Teleop(robot, pool), signals)
         finally:
-            teleop.finish()
+            robot.close()
             say("\nzero twist sent, quit")
     return 0

@@ -112,8 +112,7 @@ class RobotLink:
         self._obstacles: dict[str, tuple[float, messages.RoundObstacle]] = {}
         self._removed: list[str] = []
         self._markers: Publisher | None = None
-        self._calling = threading.Lock()
-        self._calls: TriggerCalls | None = None
+        self._calls: list[TriggerCalls] = []
         self._ticks = 0
         self._publishers = {
             kind: node.create_publisher(to.message, self._name(to.topic), 10)
@@ -249,7 +248,7 @@ class RobotLink:
         with self._changed:
             if "odom" not in self._heard or "active_source" not in self._heard:
                 faults.append(f"{CONTROLLER} with odom")
-            elif DRIVE in abilities and not self._can_drive():
+            elif DRIVE in abilities and not self.can_drive:
                 faults.append("subscriber of cmd_vel")
             for kind in INPUTS:
                 if kind not in abilities:
@@ -345,7 +344,8 @@ class RobotLink:
                 del self._handles[request], self._sent_at[request]
             elif not handle.node:
                 if now - self._sent_at[request] > RECEIPT_TIMEOUT:
-                    handle.lose(f"no node has received it within {RECEIPT_TIMEOUT:g} s")
+                    self.request_cancel(handle)  # somebody may have received it nevertheless
+                    handle.lose(f"no node has reported it within {RECEIPT_TIMEOUT:g} s")
             elif not self._drivers[handle.node] & self._reporters(handle.node):
                 handle.lose(f"{handle.node} has ended")
 
@@ -356,7 +356,9 @@ class RobotLink:
         with self._changed:
             self._target = twist
 
-    def _can_drive(self) -> bool:
+    @property
+    def can_drive(self) -> bool:
+        """Whether anybody takes twists."""
         return self._twists is not None and self._twists[0].get_subscription_count() > 0
 
     def _find_controller(self) -> None:
@@ -427,16 +429,16 @@ class RobotLink:
         def take(name: str, success: bool, message: str) -> None:
             report(NodeAnswer(name, success, message))
 
-        with self._calling:
-            calls = TriggerCalls(self._node, action, self._prefix, take)
+        calls = TriggerCalls(self._node, action, self._prefix, take)
+        with self._changed:
+            self._target = None
+            self._calls.append(calls)
+        try:
+            self._await_answers(calls, timeout)
+        finally:
             with self._changed:
-                self._target, self._calls = None, calls
-            try:
-                self._await_answers(calls, timeout)
-            finally:
-                with self._changed:
-                    self._calls = None
-                    calls.close()
+                self._calls.remove(calls)
+                calls.close()
         late = f"no answer within {ANSWER_TIMEOUT:g} s"
         answers = [NodeAnswer(n, *(a or (False, late))) for n, a in calls.answers.items()]
         for answer in answers:
@@ -465,8 +467,8 @@ class RobotLink:
             if self._twists is None:
                 self._find_controller()
             self._stream()
-            if self._calls is not None:
-                self._calls.poll()
+            for calls in self._calls:
+                calls.poll()
             if self._ticks % OBSTACLE_TICKS == 0:
                 self._show_obstacles()
             if self._ticks % WATCH_TICKS == 0:
@@ -573,6 +575,7 @@ class LinkThread:
             self._ending.set()
             if threading.current_thread() is not self._thread:
                 self._thread.join()
+                self.link.fail(RobotError("it was closed"))
                 self._session.__exit__(None, None, None)
 
 

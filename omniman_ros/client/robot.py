@@ -166,7 +166,7 @@ class Robot:
 
         Raises:
             ParameterError: A number is not finite, or far beyond any robot.
-            RobotTimeoutError: No robot is there that takes twists.
+            RobotError: Nobody takes twists, or is known to do so yet.
         """
         from omniman_ros.client import messages
 
@@ -174,7 +174,10 @@ class Robot:
         if not any(twist):
             self.halt()
             return
-        self._link.require(("drive",))
+        if not self._link.can_drive:
+            raise RobotError(
+                "nobody takes twists on cmd_vel; `wait_until_ready` waits for a robot"
+            )
         self._link.drive(twist)
 
     def halt(self) -> None:

@@ -11,7 +11,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Self
@@ -287,3 +287,15 @@ def redirect_signals(
     finally:
         for number, previous_handler in previous.items():
             signal.signal(number, previous_handler)
+
+
+def interrupt_on_signals() -> AbstractContextManager[None]:
+    """Raise KeyboardInterrupt in the main thread on SIGINT, SIGTERM and SIGHUP alike.
+
+    The main thread must run no callbacks of rclpy meanwhile, where an exception may get lost.
+    """
+
+    def interrupt(number: int) -> None:
+        raise KeyboardInterrupt
+
+    return redirect_signals(interrupt)

@@ -2,13 +2,13 @@
 
 import pytest
 
-from omniman_ros.cli import goal
+from omniman_ros.cli import motion
 from omniman_ros.cli.main import main
 
 
 @pytest.mark.processes
 def test_without_a_planner_it_fails_and_names_the_node(own_domain, monkeypatch, capfd):
-    monkeypatch.setattr(goal, "DISCOVERY_TIMEOUT", 0.2)
+    monkeypatch.setattr(motion, "READY_TIMEOUT", 0.2)
     assert main(["goal", "1", "0"]) == 1
     assert "no mpc_planner" in capfd.readouterr().err
 

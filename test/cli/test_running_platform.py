@@ -1,4 +1,4 @@
-"""`omniman goal` and `omniman teleop` on one platform that the tests share.
+"""`omniman goal`, `teleop`, `stop` and `reset` on one platform that the tests share.
 
 Each test leaves the robot at rest, neither stopped nor with a goal.
 """
@@ -92,3 +92,14 @@ def test_teleop_drives_stops_and_resets_the_robot(robot):
         teleop.type("x")
         assert teleop.finish() == 0
     assert re.search(r"heading +[+-]?\d+ deg", teleop.screen)
+
+
+def test_stop_and_reset_print_a_line_about_each_node(robot):
+    with robot.start("stop") as stop:
+        assert robot.finish(stop) == 0, stop.output
+    lines = [f"/{name}: stop done (~/stop)" for name in ("platform_controller", "simulated_drive")]
+    assert sorted(stop.output.splitlines()) == lines
+    assert not robot.world.controller.core.latch.released
+    with robot.start("reset") as reset:
+        assert robot.finish(reset) == 0, reset.output
+    assert robot.wait(lambda: robot.world.controller.core.latch.released)

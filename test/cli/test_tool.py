@@ -6,7 +6,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 
-from omniman_ros.cli import tool
+from omniman_ros.cli import motion
 from omniman_ros.cli.main import main
 from test.cli.stepped_robot import SteppedRobot
 from test.nodes.test_path_interpolator_tool import ToolWorld
@@ -26,7 +26,7 @@ def tool_position(robot):
 
 @pytest.mark.processes
 def test_without_an_interpolator_it_fails_and_names_the_node(own_domain, monkeypatch, capfd):
-    monkeypatch.setattr(tool, "DISCOVERY_TIMEOUT", 0.2)
+    monkeypatch.setattr(motion, "READY_TIMEOUT", 0.2)
     assert main(["tool", "1", "0", "0.5"]) == 1
     assert "no path_interpolator" in capfd.readouterr().err
 
@@ -36,15 +36,6 @@ def test_a_position_needs_three_numbers(arguments, capfd):
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
-
-
-def test_on_a_straight_path_the_tool_keeps_its_orientation():
-    path = tool.straight_path((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
-    assert path.header.frame_id == "odom" and len(path.poses) == 2
-    end = path.poses[1].pose
-    assert [end.position.x, end.position.y, end.position.z] == [4.0, 5.0, 6.0]
-    quaternion = end.orientation
-    assert [quaternion.x, quaternion.y, quaternion.z, quaternion.w] == [0.0] * 4
 
 
 @pytest.mark.processes

@@ -16,7 +16,7 @@ def add_teleop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stamped",
         action="store_true",
-        help="publish TwistStamped, for a controller with cmd_vel_stamped",
+        help="not needed any more: what the controller subscribes to is published",
     )
     add_namespace(parser, "namespace of the robot")
 
