@@ -28,7 +28,7 @@ def test_goal_succeeds_when_the_robot_has_reached_it(robot):
     x, y, _ = robot.world.true_pose()
     with robot.start("goal", "0.4", "0", "10", "--relative") as goal:
         assert robot.finish(goal) == 0, goal.output
-    assert "reached" in goal.output
+    assert "arrived" in goal.output
     assert robot.world.core.state is PlannerState.ARRIVED
     assert robot.world.true_pose() == pytest.approx([x + 0.4, y, math.radians(10.0)], abs=0.04)
 

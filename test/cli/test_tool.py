@@ -4,10 +4,10 @@ import signal
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 
 from omniman_ros.cli import motion
 from omniman_ros.cli.main import main
+from omniman_ros.nodes.motion_log import MotionEvent
 from test.cli.stepped_robot import SteppedRobot
 from test.nodes.test_path_interpolator_tool import ToolWorld
 
