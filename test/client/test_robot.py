@@ -6,6 +6,7 @@ import pytest
 from geometry_msgs.msg import Twist, TwistStamped
 
 from omniman_ros.client import link
+from omniman_ros.client.handle import MotionError, Outcome
 from omniman_ros.client.robot import Robot
 from omniman_ros.client.state import NodesRefusedError, RobotError, RobotTimeoutError
 from omniman_ros.core.errors import InputError, ParameterError
@@ -187,18 +188,139 @@ def test_a_refused_reset_is_an_error_with_the_answers_of_all_nodes(world, robot)
     robot.reset()
 
 
+# ---- motions ----------------------------------------------------------------------------------
+
+
+def relative(robot, x, y=0.0, turn=0.0):
+    """Return a pose relative to the robot's, in odom."""
+    here = robot.pose.value
+    c, s = math.cos(here.heading), math.sin(here.heading)
+    return here.x + c * x - s * y, here.y + s * x + c * y, here.heading + turn
+
+
+def begin_far_goal(world, robot):
+    """Send the robot to a far goal, and return the handle of the motion under way."""
+    handle = robot.go_to(*relative(robot, 4.0))
+    world.run_until(lambda: handle.feedback.state == "started", 5.0, "the begin")
+    world.run(1.0)
+    assert world.true_speed() > 0.1
+    return handle
+
+
+def test_a_goal_arrives_and_its_feedback_leads_there(world, robot):
+    goal = relative(robot, 0.4, 0.2, 0.3)
+    handle = robot.go_to(*goal)
+    assert handle.outcome is None
+    seen = []
+    world.run_until(lambda: seen.append(handle.feedback) or handle.outcome, 20.0, "the end")
+    handle.wait()
+    assert handle.outcome is Outcome.ARRIVED
+    assert robot.pose.value == pytest.approx(goal, abs=0.05)
+    states = [feedback.state for feedback in seen]
+    assert states == sorted(states, key=["sent", "received", "started", "arrived"].index)
+    progress = [f.progress for f in seen if f.progress is not None]
+    assert progress[0] < 0.2 and progress[-1] > 0.9
+    assert seen[-2].remaining < 0.1
+
+
+def test_a_goal_without_a_heading_keeps_it(world, robot):
+    heading = robot.pose.value.heading
+    robot.go_to(*relative(robot, -0.3)[:2]).wait(timeout=20.0)
+    assert robot.pose.value.heading == pytest.approx(heading, abs=0.05)
+
+
+def test_a_goal_that_cannot_be_reached_is_refused_with_the_nodes_reason(robot):
+    result = robot.go_to(9e5, 0.0, 0.0).result(timeout=5.0)
+    assert result.outcome is Outcome.REFUSED and result.reason
+
+
+def test_a_newer_goal_replaces_the_one_under_way(world, robot):
+    first = begin_far_goal(world, robot)
+    second = robot.go_to(*relative(robot, 0.5))
+    assert first.result(timeout=5.0).outcome is Outcome.REPLACED
+    assert second.result(timeout=20.0).outcome is Outcome.ARRIVED
+
+
+def test_a_cancelled_goal_ends_at_rest(world, robot):
+    handle = begin_far_goal(world, robot)
+    assert handle.cancel().outcome is Outcome.CANCELLED
+    assert world.true_speed() < 0.02
+
+
+def test_a_stop_gives_the_motion_up_and_says_why(world, robot):
+    handle = begin_far_goal(world, robot)
+    robot.stop()
+    with pytest.raises(MotionError, match="stop") as raised:
+        handle.wait(timeout=5.0)
+    assert raised.value.outcome is Outcome.GIVEN_UP
+    world.run(1.0)
+    robot.reset()
+    world.run(1.0)
+
+
+def test_an_exception_cancels_the_motion_and_the_robot_stands(world):
+    with pytest.raises(KeyboardInterrupt), client_of(world) as robot:
+        robot.wait_until_ready(DISCOVERY)
+        handle = begin_far_goal(world, robot)
+        raise KeyboardInterrupt
+    assert handle.outcome is Outcome.CANCELLED
+    assert world.true_speed() < 0.02
+
+
+def test_a_client_takes_the_platform_over_where_nobody_confirms_the_end(world, monkeypatch):
+    with client_of(world) as robot:
+        robot.wait_until_ready(DISCOVERY)
+        handle = begin_far_goal(world, robot)
+        monkeypatch.setattr(link.RobotLink, "request_cancel", lambda self, handle: None)
+    assert handle.outcome is Outcome.GIVEN_UP, handle.reason
+    assert world.true_speed() < 0.02
+    world.run(1.0)
+
+
+def test_a_path_arrives_at_its_last_pose(world, robot):
+    path = [relative(robot, 0.3), relative(robot, 0.3, 0.3, 0.5)]
+    handle = robot.follow(path)
+    world.run_until(lambda: (handle.feedback.progress or 0.0) > 0.5, 10.0, "progress")
+    assert handle.feedback.remaining is None
+    handle.wait(timeout=20.0)
+    assert robot.pose.value == pytest.approx(path[-1], abs=0.02)
+
+
+def test_two_clients_know_their_own_motions(world, robot):
+    with client_of(world) as other:
+        other.wait_until_ready(DISCOVERY)
+        first = begin_far_goal(world, robot)
+        second = other.go_to(*relative(other, 0.3))
+        assert first.result(timeout=5.0).outcome is Outcome.REPLACED
+        assert second.result(timeout=20.0).outcome is Outcome.ARRIVED
+
+
+def test_a_motion_is_lost_when_its_node_ends():
+    with platform() as world, client_of(world) as robot:
+        robot.wait_until_ready(DISCOVERY)
+        handle = begin_far_goal(world, robot)
+        world.executor.remove_node(world.node)
+        world.nodes.remove(world.node)
+        world.node.destroy_node()
+        result = handle.result(timeout=20.0)
+        assert (result.outcome, result.reason) == (Outcome.LOST, "/mpc_planner has ended")
+
+
 # ---- obstacles --------------------------------------------------------------------------------
 
 
-def test_an_obstacle_is_seen_where_it_moves_to_until_it_is_removed(world, robot):
+def test_an_obstacle_is_seen_where_it_moves_to_until_it_is_removed(world):
     obstacles = world.node.sensors.obstacles
-    robot.add_obstacle("cart", 3.0, 1.0, 0.25, velocity=(0.1, 0.0))
-    world.run_until(lambda: len(obstacles) == 1, DISCOVERY, "the obstacle")
-    world.run(1.0)
-    seen = obstacles.ellipses()
-    assert seen.semi_axes.tolist() == [[0.25, 0.25]]
-    assert seen.velocities[0].tolist() == pytest.approx([0.1, 0.0], abs=0.02)
-    robot.remove_obstacle("cart")
-    world.run_until(lambda: len(obstacles) == 0, 1.0, "the removal")
-    with pytest.raises(RobotError, match="cart"):
+    with client_of(world) as robot:
+        robot.add_obstacle("cart", 3.0, 1.0, 0.25, velocity=(0.1, 0.0))
+        robot.add_obstacle("post", 4.0, 1.0, 0.25)
+        world.run_until(lambda: len(obstacles) == 2, DISCOVERY, "the obstacles")
+        world.run(1.0)
+        seen = obstacles.ellipses()
+        assert seen.semi_axes.tolist() == [[0.25, 0.25]] * 2
+        assert seen.velocities[0].tolist() == pytest.approx([0.1, 0.0], abs=0.02)
         robot.remove_obstacle("cart")
+        world.run_until(lambda: len(obstacles) == 1, 1.0, "the removal")
+        with pytest.raises(RobotError, match="cart"):
+            robot.remove_obstacle("cart")
+    world.run_until(lambda: len(obstacles) == 0, 0.5, "the removal of the rest at the end")
