@@ -6,7 +6,7 @@ This module needs neither ROS nor numpy; a `Robot` does.
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from omniman_ros.client.handle import MotionHandle
 from omniman_ros.client.state import (
@@ -70,14 +70,15 @@ class Robot:
     ) -> None:
         if not ROS.is_available:
             raise RobotError(ROS.hint)
-        from omniman_ros.client.link import LinkOnNode, LinkThread
+        from omniman_ros.client.connection import OwnConnection, SharedConnection
 
-        owner: LinkOnNode | LinkThread
-        owner = (
-            LinkThread(namespace, domain) if node is None else LinkOnNode(node, namespace, serve)
-        )
-        self._link = owner.link
-        self._finalizer = weakref.finalize(self, owner.close)
+        connection: OwnConnection | SharedConnection
+        if node is None:
+            connection = OwnConnection(namespace, domain)
+        else:
+            connection = SharedConnection(node, namespace, serve)
+        self._link = connection.link
+        self._finalizer = weakref.finalize(self, connection.close)
 
     def __enter__(self) -> Self:
         return self
@@ -119,17 +120,17 @@ class Robot:
     @property
     def pose(self) -> Reading[PlanarPose]:
         """Pose of the platform in odom."""
-        return self._part("odom", 0)
+        return self._link.reading("odom")
 
     @property
     def twist(self) -> Reading[BodyTwist]:
         """Measured twist of the platform, in its own frame."""
-        return self._part("odom", 1)
+        return self._link.reading("twist")
 
     @property
     def joints(self) -> Reading[dict[str, float]]:
         """Angles of the arm's joints by name [rad]; never known of a robot without an arm."""
-        return self._part("arm/joint_states", 0)
+        return self._link.reading("arm/joint_states")
 
     @property
     def tool(self) -> Reading[tuple[float, float, float]]:
@@ -151,10 +152,6 @@ class Robot:
         Nodes that hold because another one is stopped are not named.
         """
         return self._link.reading("stop_state")
-
-    def _part(self, topic: str, index: int) -> Reading[Any]:
-        whole = self._link.reading(topic)
-        return Reading(topic, whole.age, whole.value[index]) if whole.is_known else whole
 
     # ---- motions --------------------------------------------------------------------------------
 
