@@ -64,6 +64,11 @@ class RobotLink:
 
     # ---- what is there --------------------------------------------------------------------------
 
+    @property
+    def domain(self) -> int:
+        """ROS domain of the node."""
+        return int(self.shared.node.context.get_domain_id())
+
     def reading(self, name: str) -> Reading[Any]:
         """Return the latest value of a topic, and its age; `twist` is that of `odom`."""
         with self._lock:

@@ -115,6 +115,11 @@ class Robot:
                 raise ParameterError("needs", ability, f"must be of {', '.join(ABILITIES)}")
         self._link.require(needs, timeout)
 
+    @property
+    def domain(self) -> int:
+        """ROS domain: commands in other terminals need it as ROS_DOMAIN_ID."""
+        return self._link.domain
+
     # ---- state ----------------------------------------------------------------------------------
 
     @property

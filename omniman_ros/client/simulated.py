@@ -43,7 +43,7 @@ def simulated_robot(
             its scanners, if scipy is installed. None: a floor without limits, and no contacts.
         page: Whether the viewer serves its page.
         parameters: Parameters for every node, each NAME:=VALUE.
-        domain: ROS domain; None: a free one.
+        domain: ROS domain; None: a free one, see `Robot.domain`.
 
     Raises:
         RobotError: An argument cannot be used, or a node ended.

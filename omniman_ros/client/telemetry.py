@@ -16,6 +16,7 @@ from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, STOP_STATE
 
 REST_SPEED = 0.01  #: Speed below which a platform stands [m/s]
+REST_TIME = 200_000_000  #: Time without a higher speed after which a robot stands [ns]
 REST_RATE = 0.02  #: Rate below which a platform and an arm's joint stand [rad/s]
 
 
@@ -27,6 +28,7 @@ class Telemetry:
         self._heard: dict[str, tuple[float, Any]] = {}
         self._rates: list[float] = []
         self._odom_stamp = self._newest_stamp = 0  # [ns]
+        self._moved_at = -REST_TIME  # by the robot's time [ns]
         self._stop_states: dict[str, str] = {}
         for kind, topic, handler, qos in (
             (Odometry, "odom", self._on_odom, 10),
@@ -60,10 +62,8 @@ class Telemetry:
 
     @property
     def stands(self) -> bool:
-        """Whether platform and arm are at rest, as far as they are heard."""
-        twist = self._heard["twist"][1] if "twist" in self._heard else (0.0, 0.0, 0.0)
-        rates = [twist[2], *self._rates]
-        return math.hypot(*twist[:2]) < REST_SPEED and all(abs(r) < REST_RATE for r in rates)
+        """Whether platform and arm have been at rest for `REST_TIME`, as far as they are heard."""
+        return self._odom_stamp - self._moved_at >= REST_TIME
 
     def _hear(self, name: str, value: Any) -> None:
         self._heard[name] = (self._shared.now(), value)
@@ -75,6 +75,9 @@ class Telemetry:
         self._hear("odom", PlanarPose(position.x, position.y, heading))
         self._hear("twist", BodyTwist(vx, vy, wz))
         self._odom_stamp = Time.from_msg(message.header.stamp).nanoseconds
+        rests = math.hypot(vx, vy) < REST_SPEED and abs(wz) < REST_RATE
+        if not rests or any(abs(rate) > REST_RATE for rate in self._rates):
+            self._moved_at = self._odom_stamp
 
     def _on_arm(self, message: JointState) -> None:
         self._rates = list(message.velocity)
