@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from omniman_ros.client.handle import Outcome
-from omniman_ros.client.robot import Robot
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import InputError, ParameterError
-from test.nodes.harness import PERIOD
+from test.client.test_robot import client_of
 from test.nodes.whole_robot import WholeRobot
 
 READY = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)  #: Angles of the arm at first [rad]
@@ -21,9 +20,7 @@ def world():
 
 @pytest.fixture(scope="module")
 def robot(world):
-    serve = lambda seconds: world.run(max(seconds, PERIOD))  # noqa: E731
-    with Robot(node=world.probe, serve=serve) as robot:
-        robot.wait_until_ready(20.0, needs=("drive", "path", "arm", "tool"))
+    with client_of(world, needs=("drive", "path", "arm", "tool")) as robot:
         yield robot
 
 

@@ -206,7 +206,7 @@ class World:
                 self.nodes.append(node)
                 self.executor.add_node(node)
                 self._set_time(node)
-            self._match_endpoints()
+            self.match_endpoints()
         except BaseException:
             self.close()
             raise
@@ -226,16 +226,15 @@ class World:
         self.context.try_shutdown()
         assert not self.context.ok()
 
-    def _match_endpoints(self) -> None:
-        """Wait until the nodes under test have discovered each other's topics.
+    def match_endpoints(self, *others: Node) -> None:
+        """Wait until the nodes under test, and others, have discovered each other's topics.
 
         The middleware repeats a latched message to a later subscription from a thread of its own,
         now and then 70 ms after the match: this waits for it, too.
         """
-        publishers = [publisher for node in self.nodes for publisher in node.publishers]
-        subscriptions = [
-            subscription for node in self.nodes for subscription in node.subscriptions
-        ]
+        nodes = [*self.nodes, *others]
+        publishers = [publisher for node in nodes for publisher in node.publishers]
+        subscriptions = [subscription for node in nodes for subscription in node.subscriptions]
         for subscription in subscriptions:
             writers = sum(_do_match(publisher, subscription) for publisher in publishers)
             self._await(
