@@ -20,7 +20,7 @@ RECEIPT_TIMEOUT = 5.0  #: Time within which a node must report that it has recei
 
 
 @dataclass(frozen=True)
-class MotionInput:
+class MotionTopic:
     """Where motions of one kind are sent to."""
 
     topic: str
@@ -30,12 +30,12 @@ class MotionInput:
 
 
 INPUTS = {
-    "goal": MotionInput("goal_pose", PoseStamped, ("mpc_planner",)),
-    "path": MotionInput("path", Path, ("path_interpolator",)),
-    "arm": MotionInput(
+    "goal": MotionTopic("goal_pose", PoseStamped, ("mpc_planner",)),
+    "path": MotionTopic("path", Path, ("path_interpolator",)),
+    "arm": MotionTopic(
         "joint_trajectory", JointTrajectory, ("path_interpolator",), "arm/joint_states"
     ),
-    "tool": MotionInput(
+    "tool": MotionTopic(
         "tool_path", Path, ("path_interpolator", "whole_body_planner"), "tool_pose"
     ),
 }  #: Inputs for motions, by their kind
@@ -73,7 +73,8 @@ class SentMotions:
 
     def send(self, handle: MotionHandle, message: Any) -> None:
         """Send a motion, whose stamp is one of its own."""
-        request = motion_events.request_of(message.header.stamp)
+        stamp = message.header.stamp
+        request = f"{stamp.sec}.{stamp.nanosec:09d}"  # as `motion_events` names it
         self._sent[request] = _Sent(handle, self._shared.now())
         self._publishers[handle.kind].publish(message)
 

@@ -72,8 +72,8 @@ class SteppedExecutor(SingleThreadedExecutor):
     rclpy makes a wait set of all entities for each pass, which took most of the time of a test of
     thousands of passes. Timers and subscriptions are therefore asked directly, in the same order
     (rclpy 7.1, `_wait_for_ready_callbacks` and the `_take` methods of its executors), once each.
-    Where a node has other kinds of entities, a client among them, rclpy serves all of them;
-    services are asked directly only for clients of other processes.
+    Where a node has other kinds of entities, rclpy serves all of them; services are asked only for
+    clients of other processes, or where a node has a client.
 
     Attributes:
         has_clients_elsewhere: Whether other processes call the nodes' services.
@@ -96,7 +96,9 @@ class SteppedExecutor(SingleThreadedExecutor):
             self._serve_by_rclpy()
             return
         callbacks = [callback for node in nodes for callback in _ready_callbacks(node)]
-        if self.has_clients_elsewhere:
+        has_clients = any(True for node in nodes for _ in node.clients)
+        callbacks += [answer for node in nodes for answer in _responses(node)]
+        if self.has_clients_elsewhere or has_clients:
             callbacks += [answer for node in nodes for answer in _requests(node)]
         for callback in callbacks:
             with suppress(InvalidHandle):  # another callback has destroyed the entity
@@ -127,8 +129,8 @@ def _do_match(publisher: Publisher, subscription: Subscription) -> bool:
 
 
 def _has_other_entities(node: Node) -> bool:
-    """Return whether a node has entities besides timers, subscriptions, idle services, events."""
-    return any(True for _ in itertools.chain(node.guards, node.clients)) or not all(
+    """Return whether a node has entities besides timers, subscriptions, calls and events."""
+    return any(True for _ in node.guards) or not all(
         isinstance(waitable, EventHandler) for waitable in node.waitables
     )
 
@@ -150,6 +152,15 @@ def _requests(node: Node) -> Iterator[Callable[[], None]]:
         request, header = service.handle.service_take_request(service.srv_type.Request)
         if request is not None:
             yield partial(_answer, service, request, header)
+
+
+def _responses(node: Node) -> Iterator[Callable[[], None]]:
+    """Take one response of each of a node's clients."""
+    for client in node.clients:
+        header, response = client.handle.take_response(client.srv_type.Response)
+        if header is not None:
+            number = header.request_id.sequence_number
+            yield partial(client.get_pending_request(number).set_result, response)
 
 
 def _call_timer(timer: Timer) -> None:
