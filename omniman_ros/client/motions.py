@@ -45,7 +45,7 @@ INPUTS = {
 class _Sent:
     handle: MotionHandle
     at: float  # [s]
-    #: Identifiers of its node's publishers of events when the first one came
+    #: Identifiers of its node's publishers of events, once the graph has them
     reporters: frozenset[bytes] = frozenset()
 
 
@@ -104,15 +104,13 @@ class SentMotions:
         sent = self._sent.get(values.get("request", ""))
         if sent is None or sent.handle.outcome is not None:
             return
-        if not sent.handle.node:
-            sent.reporters = self._reporters(message.name)
         sent.handle.report(message.name, values.get("event", ""), message.message)
 
     def _on_planner(self, message: DiagnosticStatus) -> None:
         values = {item.key: item.value for item in message.values}
-        for handle in self.running:
+        for handle in self.running if "distance_m" in values else ():
             if handle.kind == "goal":
-                handle.approach(float(values.get("distance_m", "nan")))
+                handle.approach(float(values["distance_m"]))
 
     def _on_progress(self, message: Float64) -> None:
         for handle in self.running:
@@ -135,12 +133,14 @@ class SentMotions:
         knows nothing of the motion, so that names do not tell.
         """
         for request, sent in list(self._sent.items()):
-            handle = sent.handle
+            handle, is_late = sent.handle, self._shared.now() - sent.at > RECEIPT_TIMEOUT
             if handle.outcome is not None:
                 del self._sent[request]
-            elif handle.node:
-                if not sent.reporters & self._reporters(handle.node):
-                    handle.lose(f"{handle.node} has ended")
-            elif self._shared.now() - sent.at > RECEIPT_TIMEOUT:
-                self.request_cancel(handle)  # somebody may have received it nevertheless
-                handle.lose(f"no node has reported it within {RECEIPT_TIMEOUT:g} s")
+                continue
+            # A node's messages may come before the graph has its name.
+            reporters = self._reporters(handle.node) if handle.node else frozenset()
+            sent.reporters = sent.reporters or reporters
+            if (sent.reporters or is_late) and not sent.reporters & reporters:
+                why = f"{handle.node} has ended" if handle.node else "no node has reported it"
+                self.request_cancel(handle)  # somebody may drive it nevertheless
+                handle.lose(why)
