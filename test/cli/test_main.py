@@ -82,16 +82,19 @@ def test_what_prevents_a_start_is_reported_in_one_line(arguments, message, capsy
     assert error.count("\n") == 1
 
 
-def test_without_rclpy_the_error_says_how_to_get_it():
+@pytest.mark.parametrize(
+    ("name", "words"), [("stop", "ROS 2 is not installed"), ("record", "Python module 'rclpy")]
+)
+def test_without_rclpy_the_error_says_how_to_get_it(name, words):
     code = (
         "import sys\n"
         "sys.modules['rclpy'] = None\n"
         "from omniman_ros.cli.main import main\n"
-        "sys.exit(main(['stop']))\n"
+        f"sys.exit(main([{name!r}]))\n"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ended.returncode == 1
-    assert "Python module 'rclpy" in ended.stderr
+    assert words in ended.stderr
     assert "source /opt/ros" in ended.stderr
 
 
