@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman demo`; the exit code is 0 if all figures are within their limits, else 1.
 
     Raises:
-        CommandError: The demo could not be completed.
+        CommandError, OmnimanError: The demo could not be completed.
     """
     setup = demo_setup(args)
     # The domain is chosen before the processes, because the port of their CAN bus depends on it.
@@ -85,11 +85,11 @@ def run(args: argparse.Namespace) -> int:
                 if args.keep:
                     keep(group, result)
                 group.stop()
-        except (CommandError, KeyboardInterrupt) as error:
+        except (CommandError, OmnimanError, KeyboardInterrupt) as error:
             progress.abandon()
             for complaint in complaints:
                 say(complaint, sys.stderr)
-            if isinstance(error, CommandError):
+            if not isinstance(error, KeyboardInterrupt):
                 log.show()
             raise
     result["faults"] += complaints
@@ -166,14 +166,15 @@ def perform(
         The figures, with the path of the picture and the address of the page.
 
     Raises:
-        CommandError: The robot did not complete the demo.
+        CommandError, OmnimanError: The robot did not complete the demo.
     """
     has_arm = setup.arm != "none"
     demo = load_demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
     with Session("omniman_demo", sim_time=True) as session:
-        pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
         driver = DemoDriver(session, progress, group.check, setup.wheel_drive, has_arm)
-        try:
+        # It takes the timer of the driver's client, which keeps step with simulated time.
+        pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
+        with driver.robot:
             driver.wait_until_ready()
             page = ""
             if viewer is not None:
@@ -181,9 +182,7 @@ def perform(
                 page = viewer.find("viewer", PAGE_PATTERN)
                 progress.headline(page_hint(page))
             drive(demo, driver)
-        finally:
-            driver.halt()
-            pace.leave()
+        pace.leave()
         recording = driver.recorder.recording
         result = judge(demo, recording)
     try:

@@ -55,13 +55,13 @@ def drive(demo: Demo, driver: DemoDriver) -> None:
     """Drive all legs; stalls of the machine are measured from here on.
 
     Raises:
-        CommandError: The robot did not do what was asked, or stopped.
+        CommandError, OmnimanError: The robot did not do what was asked, or stopped.
     """
     driver.restart_stall_watch()
     demo.twists = legs.drive_twists(driver, demo.pace)
     demo.movements, demo.arm_moves = legs.drive_path(driver)
     if demo.model is not None:
-        demo.tool, move = legs.drive_tool(driver, demo.model)
+        demo.tool, move = legs.drive_tool(driver)
         demo.arm_moves.append(move)
     demo.goal = legs.drive_to_goal(driver, demo.by_scanner)
     if wheel := expendable_wheel(demo.robot):

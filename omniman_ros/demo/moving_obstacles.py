@@ -1,17 +1,12 @@
 """Obstacles on straight lines, such as those that cross the robot's path in the demo."""
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.client.robot import Robot
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 
-HEIGHT = 1.0  #: Height of the cylinders [m]
-NAMESPACE = "demo"  #: Namespace of the markers
 DEMO_OBSTACLES = (
     (1.3, -1.9, 0.0, 0.45, 0.3),
     (2.2, 2.0, 0.0, -0.4, 0.3),
@@ -46,27 +41,13 @@ class DemoObstacles:
         result: Array = self._positions + (time - self._start) * self._velocities
         return result
 
-    def message(self, time: float, stamp: Time, frame: str = "odom") -> MarkerArray:
-        """Return the observation of the obstacles at a ROS time [s] by an ideal sensor."""
-        rows = zip(self.at(time).tolist(), self.radii.tolist(), strict=True)
-        return MarkerArray(
-            markers=[
-                Marker(
-                    header=Header(stamp=stamp, frame_id=frame),
-                    ns=NAMESPACE,
-                    id=k,
-                    type=Marker.CYLINDER,
-                    pose=Pose(
-                        position=Point(x=x, y=y, z=0.5 * HEIGHT), orientation=Quaternion(w=1.0)
-                    ),
-                    scale=Vector3(x=2.0 * radius, y=2.0 * radius, z=HEIGHT),
-                    color=ColorRGBA(r=0.85, g=0.3, b=0.1, a=0.9),
-                )
-                for k, ((x, y), radius) in enumerate(rows)
-            ]
-        )
+    def show_to(self, robot: Robot) -> None:
+        """Tell a robot of the obstacles, now that they are at their first positions."""
+        rows = np.column_stack([self._positions, self.radii]).tolist()
+        for k, ((x, y, radius), velocity) in enumerate(zip(rows, self._velocities, strict=True)):
+            robot.add_obstacle(f"demo {k}", x, y, radius, velocity)
 
-    @staticmethod
-    def removal_message() -> MarkerArray:
-        """Return the message that removes the obstacles."""
-        return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
+    def hide_from(self, robot: Robot) -> None:
+        """Remove the obstacles of which a robot was told."""
+        for k in range(len(self.radii)):
+            robot.remove_obstacle(f"demo {k}")

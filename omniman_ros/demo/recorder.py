@@ -8,17 +8,15 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
 
-#: Quality of service of topics whose last messages reach late subscribers
-LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 #: Number of messages of a topic that are kept until this process, held up by a busy machine, reads
 #: them: those of 5 s at 200 Hz.
 DEPTH = 1000
@@ -67,7 +65,7 @@ class DemoRecording:
 
 
 class Recorder:
-    """Subscriptions that record the robot's topics and keep its latest state.
+    """Subscriptions that record what the robot publishes, besides what its client tells.
 
     Args:
         contacts: Whether the robot is in a physics world, which tells contacts.
@@ -75,12 +73,7 @@ class Recorder:
 
     def __init__(self, node: Node, *, contacts: bool = False) -> None:
         self.recording = rows = DemoRecording(contacts=[] if contacts else None)
-        self.active_source = ""  #: What drives the platform; empty before the first message
-        self.progress = 0.0  #: Of the motion that `begin_motion` announced, from 0 to 1
-        self._has_started = False
         self.health: dict[str, str] = {}  #: Last `wheel_health`, by wheel and other keys
-        self.planner: dict[str, str] = {}  #: Last `mpc/status`, by key
-        self.stopped: dict[str, str] = {}  #: Reason why a node is stopped, by its name
 
         def record(
             kind: Any, topic: str, target: list[Any], convert: Callable[[Any], Iterable[Any]]
@@ -99,14 +92,7 @@ class Recorder:
         record(JointTrajectory, "arm/joint_reference", rows.arm_reference, _arm_reference_rows)
         record(PoseStamped, "tool_reference", rows.tool_reference, _tool_rows)
         record(Float64MultiArray, "arm/timing", rows.arm_intervals, _arm_intervals)
-        for kind, topic, callback, qos in (
-            (Float64, "path_progress", self.on_progress, DEPTH),
-            (DiagnosticStatus, "mpc/status", self._on_planner, DEPTH),
-            (String, "active_source", self._on_source, LATCHED),
-            (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
-            (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
-        ):
-            node.create_subscription(kind, topic, callback, qos)
+        node.create_subscription(DiagnosticStatus, "wheel_health", self._on_health, ALL_LATCHED)
         # Contacts are published only while there are some: no message must mean no contact.
         self._contacts = (
             node.create_subscription(DiagnosticArray, "contacts", self._on_contacts, 50)
@@ -123,49 +109,19 @@ class Recorder:
             "wheel_commands": self.recording.commands,
             "wheel_electrical": self.recording.energy,
             "coupling_error": self.recording.coupling,
-            "active_source": self.active_source,
         }
         missing = [topic for topic, rows in received.items() if not rows]
         if self._contacts is not None and not self._contacts.get_publisher_count():
             missing.append("contacts")
         return missing
 
-    def begin_motion(self) -> None:
-        """Prepare for the progress of a new motion."""
-        self.progress, self._has_started = 0.0, False
-
-    @property
-    def has_arrived(self) -> bool:
-        """Whether the motion that `begin_motion` announced has reached its end.
-
-        A late report about the end of the previous motion is ignored.
-        """
-        return self._has_started and self.progress >= 1.0
-
-    def on_progress(self, message: Float64) -> None:
-        """Update the progress of the motion under way."""
-        self._has_started = self._has_started or message.data < 1.0
-        self.progress = message.data if self._has_started else 0.0
-
-    def _on_source(self, message: String) -> None:
-        self.active_source = message.data
-
     def _on_health(self, message: DiagnosticStatus) -> None:
         self.health = {item.key: item.value for item in message.values}
-
-    def _on_planner(self, message: DiagnosticStatus) -> None:
-        self.planner = {item.key: item.value for item in message.values}
 
     def _on_contacts(self, message: DiagnosticArray) -> None:
         known = self.recording.contacts
         if known is not None:
             known += [status.name for status in message.status if status.name not in known]
-
-    def _on_stop_state(self, message: DiagnosticStatus) -> None:
-        if message.level == DiagnosticStatus.ERROR:
-            self.stopped[message.name] = message.message
-        else:
-            self.stopped.pop(message.name, None)
 
 
 def _stamp(message: Any) -> float:

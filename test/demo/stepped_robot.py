@@ -1,4 +1,4 @@
-"""A robot without nodes that follows the demo's commands on stepped time."""
+"""A robot without nodes that does what the demo asks on stepped time."""
 
 import math
 from types import SimpleNamespace
@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped, Transform, Vector3
 from nav_msgs.msg import Odometry
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension, String
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import (
     JointTrajectory,
     JointTrajectoryPoint,
@@ -17,8 +17,11 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectoryPoint,
 )
 
+from omniman_ros.client.handle import MotionHandle
+from omniman_ros.client.state import NodeAnswer, NodesRefusedError, PlanarPose, Reading
 from omniman_ros.console import session as console_session
-from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
+from omniman_ros.conversions.geometry import quaternion_from_yaw
+from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.demo import driver as demo_driver
 from omniman_ros.demo.driver import DemoDriver
 
@@ -28,7 +31,7 @@ NOTICE_TIME = 0.2  # time after which a dead motor is reported [s]
 
 
 class SteppedRobot:
-    """Node, session and robot in one: time passes only while the demo waits.
+    """Node, session, robot and its client in one: time passes only while the demo waits.
 
     Args:
         defects: What the robot does not do, of "publish", "progress", "plan", "move_arm",
@@ -38,7 +41,7 @@ class SteppedRobot:
     def __init__(self, *defects):
         self.node = self
         self.time = 1000.0  # ROS time [s]
-        self.received = {}  # messages by topic
+        self.asked = []  # kinds of the motions, and "obstacle" for each that it is told of
         self.stopped = False  # whether the platform's controller is stopped
         self.defects = defects
         self.ended = []  # topics whose subscriptions were ended
@@ -47,9 +50,10 @@ class SteppedRobot:
         self._twist = np.zeros(3)
         self._arm = np.zeros(6)
         self._motion = None
-        self._planner = "idle"
         self._dead = []
         self._dead_since = math.inf
+
+    # ---- session and node ---------------------------------------------------------------------
 
     def now(self):
         return self.time
@@ -70,9 +74,6 @@ class SteppedRobot:
     def get_clock(self):
         return SimpleNamespace(now=lambda: Time(nanoseconds=round(1e9 * self.time)))
 
-    def get_namespace(self):
-        return "/"
-
     def create_subscription(self, message_type, topic, callback, qos):
         self.callbacks[topic] = callback
         return topic
@@ -81,50 +82,90 @@ class SteppedRobot:
         self.ended.append(subscription)
 
     def create_publisher(self, message_type, topic, qos):
-        def publish(message):
-            self.received.setdefault(topic, []).append(message)
-            getattr(self, f"_on_{topic}", lambda _: None)(message)
-
-        return SimpleNamespace(topic_name=topic, publish=publish, get_subscription_count=lambda: 1)
-
-    def create_client(self, service_type, name):
-        def call_async(request):
-            if name.endswith("/set_parameters"):
-                self._dead = list(request.parameters[0].value.string_array_value)
-                self._dead_since = self.time if self._dead else self._dead_since
-            elif "repair" not in self.defects:
-                self._dead_since = math.inf
-            answer = SimpleNamespace(success=True)
-            return SimpleNamespace(done=lambda: True, result=lambda: answer)
-
-        return SimpleNamespace(srv_name=name, call_async=call_async)
-
-    def _on_cmd_vel(self, message):
-        self._twist = np.array([message.linear.x, message.linear.y, message.angular.z])
-
-    def _on_path(self, message):
-        poses = [(p.pose.position, p.pose.orientation) for p in message.poses]
-        rows = np.array([(p.x, p.y, yaw_from_quaternion(q)) for p, q in poses])
-        rows[:, 2] = np.unwrap(rows[:, 2])
-        self._motion = (self.time, rows)
-
-    def _on_tool_path(self, message):
-        self._motion = (self.time, np.array([self._pose, self._pose]))
-
-    def _on_goal_pose(self, message):
-        position, orientation = message.pose.position, message.pose.orientation
-        goal = np.array([position.x, position.y, yaw_from_quaternion(orientation)])
-        if "plan" not in self.defects:
-            self._planner = "driving"
-            self._motion = (self.time, np.array([self._pose, goal]))
-
-    def _on_joint_trajectory(self, message):
-        if "move_arm" not in self.defects:
-            self._arm = np.array(message.points[0].positions)
+        assert topic == "emergency_stop"
+        return SimpleNamespace(publish=self._on_emergency_stop)
 
     def _on_emergency_stop(self, message):
         if message.data and "stop" not in self.defects:
             self.stopped = True
+
+    def create_client(self, service_type, name):
+        def call_async(request):
+            self._dead = list(request.parameters[0].value.string_array_value)
+            self._dead_since = self.time if self._dead else self._dead_since
+            return SimpleNamespace(done=lambda: True)
+
+        return SimpleNamespace(srv_name=name, call_async=call_async)
+
+    # ---- client -------------------------------------------------------------------------------
+
+    @property
+    def pose(self):
+        return Reading("odom", 0.0, PlanarPose(*self._pose.tolist()))
+
+    @property
+    def joints(self):
+        return Reading("joints", 0.0, dict(zip(UR_JOINTS, self._arm.tolist(), strict=True)))
+
+    @property
+    def tool(self):
+        return Reading("tool", 0.0, (0.5, 0.0, 1.0))
+
+    @property
+    def active_source(self):
+        return Reading("active_source", 0.0, "path" if self._motion else "none")
+
+    @property
+    def stop_reason(self):
+        return Reading("stop", 0.0, "platform_controller stopped: x" if self.stopped else "")
+
+    def wait_until_ready(self, timeout, needs):
+        self.needs = needs
+
+    def drive(self, *twist):
+        self._twist = np.array(twist)
+
+    def halt(self):
+        self._twist = np.zeros(3)
+
+    def follow(self, poses):
+        return self._begin("path", poses)
+
+    def follow_tool(self, positions):
+        return self._begin("tool", [self._pose, self._pose])
+
+    def go_to(self, *goal):
+        return self._begin("goal", [self._pose, goal], "plan" not in self.defects)
+
+    def move_joints(self, angles, duration):
+        handle = self._begin("arm", None, "move_arm" not in self.defects)
+        if handle.outcome is None:
+            self._arm = np.array(angles)
+            handle.report("/robot", "arrived", "")
+        return handle
+
+    def _begin(self, kind, poses, accepted=True):
+        self.asked.append(kind)
+        handle = MotionHandle(kind, f"motion of the {kind}", self)
+        handle.report("/robot", "started" if accepted else "refused", "no way")
+        if accepted and poses is not None:
+            self._motion = (self.time, np.array(poses), handle)
+        return handle
+
+    def reset(self):
+        if "reset" in self.defects:
+            raise NodesRefusedError("reset", (NodeAnswer("/robot", False, "not at rest"),))
+        self.stopped = False
+        if "repair" not in self.defects:
+            self._dead_since = math.inf
+
+    def add_obstacle(self, name, *place):
+        self.asked.append("obstacle")
+
+    def remove_obstacle(self, name):
+        assert "obstacle" in self.asked
+
+    # ---- time ---------------------------------------------------------------------------------
 
     def _step(self, seconds):
         self.time += seconds
@@ -133,21 +174,22 @@ class SteppedRobot:
         c, s = math.cos(self._pose[2]), math.sin(self._pose[2])
         x, y, turn = self._twist
         self._pose = self._pose + seconds * np.array([c * x - s * y, s * x + c * y, turn])
-        progress = self._follow() if self._motion else None
+        if self._motion:
+            self._follow()
         if "publish" not in self.defects:
-            self._publish(progress)
+            self._publish()
 
     def _follow(self):
-        start, poses = self._motion
+        start, poses, handle = self._motion
         progress = 0.0 if "progress" in self.defects else (self.time - start) / MOTION_TIME
         at = np.linspace(0.0, 1.0, len(poses))
         self._pose = np.array([np.interp(progress, at, column) for column in poses.T])
+        handle.advance(progress)
         if progress >= 1.0:
             self._motion = None
-            self._planner = "arrived" if self._planner == "driving" else self._planner
-        return min(progress, 1.0)
+            handle.report("/robot", "arrived", "")
 
-    def _publish(self, progress):
+    def _publish(self):
         odom = self._stamped(Odometry)
         odom.pose.pose.position.x, odom.pose.pose.position.y = self._pose[:2].tolist()
         odom.pose.pose.orientation = quaternion_from_yaw(float(self._pose[2]))
@@ -160,7 +202,6 @@ class SteppedRobot:
         timing = Float64MultiArray(data=[STEP])
         timing.layout.dim = [MultiArrayDimension(size=1)]
         is_noticed = self.time - self._dead_since > NOTICE_TIME and "notice" not in self.defects
-        level = DiagnosticStatus.ERROR if self.stopped else DiagnosticStatus.OK
         messages = {
             "odom": odom,
             "ground_truth/odom": odom,
@@ -174,15 +215,8 @@ class SteppedRobot:
             "path/reference": self._stamped(MultiDOFJointTrajectory, points=[due]),
             "tool_reference": self._stamped(PoseStamped),
             "arm/timing": timing,
-            "active_source": String(data="path" if self._motion else "none"),
-            "mpc/status": status(state=self._planner, last="no way"),
             "wheel_health": status(rear_right="no torque" if is_noticed else "driving"),
-            "stop_state": DiagnosticStatus(
-                level=level, name="/platform_controller", message="stopped: x"
-            ),
         }
-        if progress is not None:
-            messages["path_progress"] = Float64(data=progress)
         for topic, message in messages.items():
             self.callbacks[topic](message)
 
@@ -197,25 +231,6 @@ def status(**values):
     return DiagnosticStatus(values=pairs)
 
 
-class SteppedReset:
-    """Reset of a stepped robot, in place of the services."""
-
-    def __init__(self, node, action, namespace):
-        assert action == "reset"
-        self._robot = node
-        self.answers = {}
-
-    def poll(self):
-        if "reset" not in self._robot.defects:
-            self._robot.stopped = False
-        else:
-            self.answers["/platform_controller"] = (False, "not at rest")
-        return True
-
-    def close(self):
-        pass
-
-
 def stepped_driver(monkeypatch, robot, poll=lambda: None, has_arm=True):
     """Return a driver whose time is the robot's."""
     progress = SimpleNamespace(
@@ -224,5 +239,5 @@ def stepped_driver(monkeypatch, robot, poll=lambda: None, has_arm=True):
     clock = SimpleNamespace(monotonic=robot.now)
     for module in (console_session, demo_driver):
         monkeypatch.setattr(module, "time", clock)
-    monkeypatch.setattr(demo_driver, "TriggerCalls", SteppedReset)
+    monkeypatch.setattr(demo_driver, "Robot", lambda node, serve: node)
     return DemoDriver(robot, progress, poll, has_arm=has_arm)

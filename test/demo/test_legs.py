@@ -1,14 +1,15 @@
 """The legs of the demo, driven on stepped time."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import LaserScan
 from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.client.handle import MotionError
 from omniman_ros.console.errors import CommandError
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.conversions.maps import map_message
@@ -19,14 +20,13 @@ from omniman_ros.demo.legs import DemoSpeeds, twist_phases
 from omniman_ros.demo.moving_obstacles import DEMO_OBSTACLES, DemoObstacles
 from omniman_ros.demo.perception import record_perception
 from omniman_ros.demo.report import ROWS, report_lines
-from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from test import robots
 from test.demo.stepped_robot import NOTICE_TIME, SteppedRobot, stepped_driver
 
 LEGS = {
     "twists": lambda driver: legs.drive_twists(driver, DemoSpeeds()),
     "path": legs.drive_path,
-    "tool": lambda driver: legs.drive_tool(driver, WholeBodyModel(Mount())),
+    "tool": legs.drive_tool,
     "goal": lambda driver: legs.drive_to_goal(driver, by_scanner=False),
     "dead_wheel": lambda driver: legs.drive_with_dead_wheel(driver, "rear_right"),
     "stop": lambda driver: legs.drive_and_stop(driver, 0.3),
@@ -95,24 +95,25 @@ def test_without_an_arm_only_the_platform_is_commanded(monkeypatch):
     demo = load_demo("omniman", has_arm=False)
     driver.wait_until_ready()
     drive(demo, driver)
-    assert "joint_trajectory" not in robot.received and "tool_path" not in robot.received
+    assert robot.needs == ("drive", "goal", "path")
+    assert set(robot.asked) == {"path", "obstacle", "goal"}
     assert demo.arm_moves == [] and demo.tool is None
 
 
 @pytest.mark.parametrize(
     ("leg", "defect", "message"),
     [
-        ("path", "progress", "path: forwards did not reach its end, only 0%"),
-        ("tool", "move_arm", "the arm did not reach the start"),
-        ("goal", "plan", "the goal was not reached, .* mpc_planner reports: no way"),
+        ("path", "progress", "path: forwards did not reach its end, only 0%: started"),
+        ("tool", "move_arm", "motion of the arm: refused: no way"),
+        ("goal", "plan", "goal, obstacles did not reach its end, only 0%: refused, no way"),
         ("dead_wheel", "notice", "the controller did not notice that 'rear_right'"),
         ("dead_wheel", "repair", "wheel 'rear_right' is still reported as dead after the reset"),
         ("stop", "stop", "the emergency stop did not stop the robot"),
-        ("stop", "reset", "the reset failed: not at rest"),
+        ("stop", "reset", "reset failed: /robot: not at rest"),
     ],
 )
 def test_a_robot_that_does_not_do_what_a_leg_asks_ends_the_demo(monkeypatch, leg, defect, message):
-    with pytest.raises(CommandError, match=message):
+    with pytest.raises((CommandError, MotionError), match=message):
         drive_leg(monkeypatch, SteppedRobot(defect), leg)
 
 
@@ -125,19 +126,29 @@ def test_the_demo_does_not_begin_before_all_topics_are_there(monkeypatch):
 def test_a_stopped_robot_ends_the_demo_with_the_reason(monkeypatch):
     robot = SteppedRobot()
     robot.stopped = True
-    with pytest.raises(
-        CommandError, match="the robot stopped: /platform_controller is stopped: x"
-    ):
+    with pytest.raises(CommandError, match="the robot stopped: platform_controller stopped: x"):
         drive_leg(monkeypatch, robot, "twists")
 
 
-def test_a_platform_that_is_still_driven_does_not_get_a_path(monkeypatch):
+def test_a_platform_that_is_still_driven_is_not_at_rest(monkeypatch):
     robot = SteppedRobot("progress")
     driver = stepped_driver(monkeypatch, robot)
-    driver.robot.send_path(np.zeros((2, 3)))
-    driver.wait(lambda: driver.recorder.active_source == "path", 1.0)
+    robot.follow(np.zeros((2, 3)))
     with pytest.raises(CommandError, match="'path' still drives the platform, expected none"):
-        legs.drive_path(driver)
+        driver.rest()
+
+
+def test_whoever_waits_for_the_robot_waits_no_more_after_an_end(monkeypatch):
+    ends = [CommandError("a node ended")]
+
+    def poll():
+        if ends:
+            raise ends.pop()
+
+    driver = stepped_driver(monkeypatch, SteppedRobot(), poll)
+    for _ in range(2):
+        with pytest.raises(CommandError, match="a node ended"):
+            driver.pause(1.0)
 
 
 @pytest.mark.parametrize("name", robots.ALL)
@@ -154,16 +165,14 @@ def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
     assert total < 20.0
 
 
-def test_the_path_begins_at_the_tool_and_keeps_its_orientation():
+def test_the_path_of_the_tool_begins_where_it_is_and_ahead_of_the_robot():
     length = legs.STRAIGHT + legs.RADIUS * legs.BEND
-    start = WholeBodyModel(Mount()).forward(np.concatenate([[0.3, -0.2, 0.7], legs.START_ANGLES]))
-    poses = legs.tool_poses(start, 0.7)
-    assert poses[0] == pytest.approx(start)
-    assert np.abs(poses[:, :3, :3] - start[:3, :3]).max() == 0.0
-    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
+    positions = legs.tool_positions((0.3, -0.2, 0.7), 0.7)
+    assert positions[0] == pytest.approx((0.3, -0.2, 0.7))
+    steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
     assert steps.sum() == pytest.approx(length, rel=1e-3) and steps.max() < 0.021
-    assert np.ptp(poses[:, 2, 3]) == pytest.approx(legs.WAVE_HEIGHT, rel=1e-3)
-    ahead = poses[10, :2, 3] - poses[0, :2, 3]
+    assert np.ptp(positions[:, 2]) == pytest.approx(legs.WAVE_HEIGHT, rel=1e-3)
+    ahead = positions[10, :2] - positions[0, :2]
     assert math.atan2(ahead[1], ahead[0]) == pytest.approx(0.7)
 
 
@@ -175,17 +184,19 @@ def test_obstacles_are_placed_and_move_relative_to_the_robot():
     assert moved == pytest.approx([-2.0 * vy, 2.0 * vx])
 
 
-def test_the_message_has_the_positions_at_its_time():
-    obstacles = DemoObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
-    message = obstacles.message(103.0, Time(sec=103))
-    assert [(m.pose.position.x, m.pose.position.y) for m in message.markers] == [
-        pytest.approx(tuple(position)) for position in obstacles.at(103.0)
-    ]
-    for marker, row in zip(message.markers, DEMO_OBSTACLES, strict=True):
-        assert (marker.type, marker.action) == (Marker.CYLINDER, Marker.ADD)
-        assert marker.scale.x == marker.scale.y == 2.0 * row[4]
-        assert marker.header.frame_id == "odom"
-    assert [m.action for m in obstacles.removal_message().markers] == [Marker.DELETEALL]
+def test_the_robot_is_told_of_obstacles_where_they_are_judged():
+    obstacles, told = DemoObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0), {}
+    robot = SimpleNamespace(
+        add_obstacle=lambda name, *place: told.__setitem__(name, place), remove_obstacle=told.pop
+    )
+    obstacles.show_to(robot)
+    for (x, y, radius, velocity), now, then, row in zip(
+        told.values(), obstacles.at(100.0), obstacles.at(101.0), DEMO_OBSTACLES, strict=True
+    ):
+        assert (x, y) == pytest.approx(now) and radius == row[4]
+        assert (x, y) + velocity == pytest.approx(then)
+    obstacles.hide_from(robot)
+    assert told == {}
 
 
 def test_what_is_perceived_is_recorded_until_the_goal():
@@ -212,5 +223,5 @@ def test_by_the_scanner_the_robot_is_told_of_nobody(monkeypatch):
     driver = stepped_driver(monkeypatch, robot)
     robot.spin(0.1)
     driven = legs.drive_to_goal(driver, by_scanner=True)
-    assert "obstacles" not in robot.received and "goal_pose" in robot.received
+    assert robot.asked == ["goal"]
     assert driven.perception is not None

@@ -7,7 +7,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
 
 from omniman_ros.demo.recorder import Recorder
 from omniman_ros.nodes.simulated_world import SimulatedWorldNode
@@ -15,7 +14,7 @@ from test.nodes.harness import World
 
 
 def recorder_with(publishers=0, **options):
-    """Return a recorder of a motion that begins, and its callbacks by topic."""
+    """Return a recorder, and its callbacks by topic."""
     callbacks = {}
 
     def create_subscription(kind, topic, callback, qos):
@@ -23,32 +22,7 @@ def recorder_with(publishers=0, **options):
         return SimpleNamespace(get_publisher_count=lambda: publishers)
 
     node = SimpleNamespace(create_subscription=create_subscription)
-    recorder = Recorder(node, **options)
-    recorder.begin_motion()
-    return recorder, callbacks
-
-
-def report(recorder, *progress):
-    for value in progress:
-        recorder.on_progress(Float64(data=value))
-
-
-def test_a_motion_arrives_when_its_progress_is_complete():
-    recorder, _ = recorder_with()
-    report(recorder, 0.0, 0.4)
-    assert recorder.progress == 0.4 and not recorder.has_arrived
-    report(recorder, 1.0)
-    assert recorder.has_arrived
-
-
-def test_a_late_end_of_the_motion_before_does_not_count():
-    recorder, _ = recorder_with()
-    report(recorder, 0.5, 1.0)
-    recorder.begin_motion()
-    report(recorder, 1.0)
-    assert not recorder.has_arrived and recorder.progress == 0.0
-    report(recorder, 0.1, 1.0)
-    assert recorder.has_arrived
+    return Recorder(node, **options), callbacks
 
 
 def test_in_a_world_each_contact_is_recorded_once():

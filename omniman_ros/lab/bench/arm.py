@@ -25,12 +25,12 @@ from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
+from omniman_ros.client.messages import RoundObstacle
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import DISCOVERY_TIMEOUT
 from omniman_ros.console.terminal import say
 from omniman_ros.conversions.poses import pose_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
-from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.lab.bench.harness import (
     LENIENT,
     BenchmarkTable,
@@ -84,8 +84,10 @@ class ArmBenchmarkLoad:
         self._goals_sent = self._previews = self._driven = 0
         self._state = ""
         self._arm_commanded = self._goal_sent = -math.inf
-        still, radii = np.zeros((len(OBSTACLES), 2)), np.full(len(OBSTACLES), OBSTACLE_RADIUS)
-        self._surroundings = DemoObstacles(0.0, np.array(OBSTACLES), still, radii)
+        self._surroundings = [
+            RoundObstacle(f"obstacle {k}", x, y, OBSTACLE_RADIUS, (0.0, 0.0))
+            for k, (x, y) in enumerate(OBSTACLES)
+        ]
         node = self._session.node
         publish, subscribe = node.create_publisher, node.create_subscription
         self._goals = publish(PoseStamped, "goal_pose", 10)
@@ -175,7 +177,8 @@ class ArmBenchmarkLoad:
     def _feed(self, now: float) -> None:
         """Publish observations of the obstacles, and a new command for what is at rest."""
         stamp = self._session.node.get_clock().now().to_msg()
-        self._obstacles.publish(self._surroundings.message(0.0, stamp))
+        markers = [obstacle.marker(0.0, stamp) for obstacle in self._surroundings]
+        self._obstacles.publish(MarkerArray(markers=markers))
         since = now - self._goal_sent
         if since > GOAL_TIMEOUT or (since > GOAL_PERIOD and self._state != "driving"):
             self._goal_sent = now

@@ -15,6 +15,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.demo.figures import obstacle_gaps
 from omniman_ros.lab.bench.harness import Rows, tables
 from omniman_ros.lab.faults.injections import STREAMING_PROCESS
@@ -168,18 +169,19 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
         robot = RunningRobot(session, setup, LEFT_OUT, log)
         with redirect_signals(robot.interrupt), robot.processes:
             activities = Activities(Player(robot), seed)
-            watch = SoakWatch(robot, activities, half_size, limit)
-            robot.follow_clock()
-            if not robot.release(READY_TIMEOUT):
-                log.show()
-                raise CommandError(f"the robot does not become ready: {robot.reasons}")
-            start = robot.session.now()
-            stuck = ""
-            with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C ends it, with the report
-                stuck = drive(robot, activities, watch, start + seconds)
-            if stuck:
-                log.show()
-            driven = (robot.session.now() - start) / 60.0
+            with activities.client:
+                watch = SoakWatch(robot, activities, half_size, limit)
+                robot.follow_clock()
+                if not robot.release(READY_TIMEOUT):
+                    log.show()
+                    raise CommandError(f"the robot does not become ready: {robot.reasons}")
+                start = robot.session.now()
+                stuck = ""
+                with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C ends it, with the report
+                    stuck = drive(robot, activities, watch, start + seconds)
+                if stuck:
+                    log.show()
+                driven = (robot.session.now() - start) / 60.0
             counts = activities.counts
             return {**watch.figures(), "driven_min": driven, "activities": counts, "stuck": stuck}
 
@@ -189,7 +191,7 @@ def drive(robot: RunningRobot, activities: Activities, watch: SoakWatch, end: fl
     while robot.session.now() < end:
         try:
             activities.perform()
-        except CommandError as error:
+        except (CommandError, OmnimanError) as error:
             return str(error)
         watch.look()
         watch.note_stops()

@@ -5,13 +5,11 @@ import random
 from collections.abc import Callable
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path
 
+from omniman_ros.client.robot import Robot
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.demo.moving_obstacles import DemoObstacles
-from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.lab.faults.injections import EmergencyStop, ServiceStop, Setting, Signal
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import GoingOn, MotionKind
@@ -38,17 +36,19 @@ FAULTS = [
 
 
 class Activities:
-    """Draws and performs activities."""
+    """Draws and performs activities.
+
+    Attributes:
+        client: Client of the robot, to be closed at the end.
+    """
 
     def __init__(self, player: Player, seed: int) -> None:
         self._player, self._robot = player, player.robot
         self._draw = random.Random(seed)
-        node = player.robot.session.node
-        self._interface = RobotInterface(node, "can")
-        self._tool: PoseStamped | None = None
-        node.create_subscription(PoseStamped, "tool_pose", self._on_tool, 1)
+        session = player.robot.session
+        self.client = Robot(node=session.node, serve=session.spin)
         self._surroundings = DemoObstacles(0.0, OBSTACLES[:, :2], AT_REST, OBSTACLES[:, 2])
-        node.create_timer(0.1, self._show_obstacles)
+        session.node.create_timer(0.1, self._show_obstacles)
         self.counts: dict[str, int] = {}
         self.disturbed = False
         self._kinds: dict[str, tuple[float, Callable[[], None]]] = {
@@ -61,23 +61,19 @@ class Activities:
             "fault": (2.0, self._fault),
         }
 
-    def _on_tool(self, message: PoseStamped) -> None:
-        self._tool = message
-
     @property
     def obstacles(self) -> DemoObstacles:
         """What stands around, in the frame of the ground truth."""
         return self._surroundings
 
     def _show_obstacles(self) -> None:
-        """Publish the obstacles as a sensor on the robot sees them, whatever odometry says."""
+        """Tell of the obstacles as a sensor on the robot sees them, whatever odometry says."""
         truth, believed = self._robot.truth.pose, self._player.driver.pose
         if truth is None or believed is None:
             return
-        positions = np.array([self._in_odom(place) for place in OBSTACLES[:, :2]])
-        seen = DemoObstacles(0.0, positions, AT_REST, self._surroundings.radii)
-        stamp = self._robot.session.node.get_clock().now().to_msg()
-        self._interface.send_obstacles(seen.message(0.0, stamp))
+        for k, (x, y, radius) in enumerate(OBSTACLES.tolist()):
+            seen_x, seen_y = self._in_odom(np.array([x, y])).tolist()
+            self.client.add_obstacle(f"obstacle {k}", seen_x, seen_y, radius)
 
     def _in_odom(self, place: Array) -> Array:
         """Return where odometry believes a place (2,) of the ground truth to be [m]."""
@@ -112,7 +108,7 @@ class Activities:
 
     def _goal(self) -> None:
         if self._player.driver.pose is not None and self._robot.truth.pose is not None:
-            self._interface.send_goal(self._place())
+            self.client.go_to(*self._place())
 
     def _path(self) -> None:
         start = self._player.driver.pose
@@ -120,29 +116,19 @@ class Activities:
             return
         end = self._place()
         fractions = np.linspace(0.0, 1.0, 8)[:, None]
-        self._interface.send_path(start + fractions * (end - start))
+        self.client.follow(start + fractions * (end - start))
 
     def _arm(self) -> None:
         angles = self._robot.truth.angles
         if angles is not None:
             step = [self._draw.uniform(-ARM_STEP, ARM_STEP) for _ in angles]
-            self._interface.send_arm_goal(angles + np.array(step))
+            self.client.move_joints((angles + np.array(step)).tolist())
 
     def _tool_path(self) -> None:
-        if self._tool is None:
-            return
-        start = self._tool.pose.position
-        path = Path()
-        path.header.frame_id = "odom"
-        for fraction in (0.0, 1.0):
-            pose = PoseStamped()
-            position, orientation = pose.pose.position, pose.pose.orientation
-            for axis in "xyz":
-                way = fraction * self._draw.uniform(-TOOL_STEP, TOOL_STEP)
-                setattr(position, axis, getattr(start, axis) + way)
-            orientation.w = 0.0  # the tool keeps its orientation
-            path.poses.append(pose)
-        self._interface.send_tool_path(path)
+        start = self.client.tool
+        if start.is_known:
+            way = [self._draw.uniform(-TOOL_STEP, TOOL_STEP) for _ in start.value]
+            self.client.follow_tool(np.add(start.value, [[0.0] * 3, way]))
 
     def _fault(self) -> None:
         """Drive, inject a fault, remove it, and reset the robot."""
