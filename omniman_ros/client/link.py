@@ -109,9 +109,14 @@ class RobotLink:
     # ---- what moves -----------------------------------------------------------------------------
 
     def drive(self, twist: Triple | None) -> None:
-        """Stream a twist [m/s, m/s, rad/s] from now on; None: some zeros, then nothing."""
+        """Stream a twist [m/s, m/s, rad/s] from now on; None: some zeros, then nothing.
+
+        A new twist of a stream that has begun does not wait for the next period.
+        """
         with self._lock:
-            self._twists.target = twist
+            is_new, self._twists.target = twist != self._twists.target, twist
+            if twist is not None and is_new and self._twists.is_streaming:
+                self._twists.publish(twist)
 
     def send(self, kind: str, name: str, message: Any) -> MotionHandle:
         """Send a motion to the node that takes it, once that is there, and return its handle."""

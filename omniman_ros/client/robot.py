@@ -163,8 +163,8 @@ class Robot:
     def drive(self, vx: float, vy: float, wz: float) -> None:
         """Drive with a twist [m/s, m/s, rad/s] until it is changed; three zeros end it.
 
-        It is sent 20 times a second, and takes the platform over from any goal or path. At the end
-        the platform brakes, and other sources may drive again.
+        It is sent 20 times a second, and at once when it changes, and takes the platform over from
+        any goal or path. At the end the platform brakes, and other sources may drive again.
 
         Raises:
             ParameterError: A number is not finite, or far beyond any robot.

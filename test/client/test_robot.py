@@ -119,6 +119,16 @@ def test_twists_are_of_the_type_that_the_controller_subscribes_to(stamped):
         assert len(sent) == pytest.approx(1.0 / 0.05, abs=1)
 
 
+def test_a_new_twist_of_a_stream_does_not_wait_for_its_period(world, robot):
+    sent = twists_sent(world, Twist)
+    robot.drive(0.1, 0.0, 0.0)
+    world.run(0.2)
+    robot.drive(0.11, 0.0, 0.0)
+    world._await(lambda: sent[-1].linear.x == 0.11, "the new twist, while time stands")
+    robot.halt()
+    world.run(1.5)
+
+
 def test_an_exception_stops_the_robot_before_it_is_seen(world):
     with pytest.raises(ZeroDivisionError), client_of(world) as robot:
         robot.drive(0.3, 0.0, 0.0)
