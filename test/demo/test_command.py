@@ -105,7 +105,7 @@ def test_a_robot_that_stops_ends_the_demo_with_the_reason(tmp_path):
         command("demo", "--world", "none", "--results", str(tmp_path), "-p", stuck), environment()
     ) as demo:
         assert demo.finish() == 1
-    assert "error: the robot stopped: /platform_controller is stopped" in demo.output
+    assert "error: the robot stopped: platform_controller stopped" in demo.output
     assert "wheel '" in demo.output
     assert not (tmp_path / "demo.json").exists()
 
