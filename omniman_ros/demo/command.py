@@ -174,15 +174,17 @@ def perform(
         driver = DemoDriver(session, progress, group.check, setup.wheel_drive, has_arm)
         # It takes the timer of the driver's client, which keeps step with simulated time.
         pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
-        with driver.robot:
-            driver.wait_until_ready()
-            page = ""
-            if viewer is not None:
-                driver.wait(lambda: bool(viewer.find("viewer", PAGE_PATTERN)), PAGE_TIMEOUT)
-                page = viewer.find("viewer", PAGE_PATTERN)
-                progress.headline(page_hint(page))
-            drive(demo, driver)
-        pace.leave()
+        try:
+            with driver.robot:
+                driver.wait_until_ready()
+                page = ""
+                if viewer is not None:
+                    driver.wait(lambda: bool(viewer.find("viewer", PAGE_PATTERN)), PAGE_TIMEOUT)
+                    page = viewer.find("viewer", PAGE_PATTERN)
+                    progress.headline(page_hint(page))
+                drive(demo, driver)
+        finally:
+            pace.leave()
         recording = driver.recorder.recording
         result = judge(demo, recording)
     try:

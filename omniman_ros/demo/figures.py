@@ -24,7 +24,6 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.planning.obstacles.separation import box_gap
 
 TWIST_SETTLING = 1.0  #: Time after which the robot is to drive the commanded twist [s]
-END_SETTLING = 0.5  #: Time after a movement at which the platform is at rest at its end [s]
 SAME_TIME = 1e-3  #: Time difference below which two points of the reference are the same [s]
 ARM_SETTLING = 1.0  #: Time after the start of a move from which on its errors are measured [s]
 LAGS = np.arange(-0.1, 0.2, 0.002)  #: Candidates for the lag of the arm behind its reference [s]
@@ -126,7 +125,7 @@ def tracking_figures(
         means, maxima = ("rms_mm", "heading_rms_deg"), ("max_mm", "heading_max_deg")
         return dict.fromkeys((*means, *maxima, "final_mm", "final_heading_deg"), math.inf)
     distance, angle = reference.errors(odom[during])
-    ended = odom[:, 0] <= max(interval.end for interval in intervals) + END_SETTLING
+    ended = odom[:, 0] <= max(interval.end for interval in intervals)
     final_distance, final_angle = reference.errors(odom[ended][-1:])
     return {
         "rms_mm": 1e3 * rms(distance),
