@@ -49,6 +49,7 @@ WAVES = 2.0  #: Number of waves of its height
 #: Pose of the goal, beyond the obstacles, in the robot's frame at the start [m, m, rad]
 GOAL = (3.2, 0.3, 1.5707963)
 GOAL_TIMEOUT = 30.0  #: Time within which the goal must be reached [s]
+NOTICE_TIME = 0.5  #: Time before the goal in which the robot hears of the obstacles [s]
 
 EDGE = 0.5  #: Length of each of the two straights that are driven with a dead wheel [m]
 FAULT_PROGRESS = 0.15  #: Progress on this path at which the motor loses its torque
@@ -205,8 +206,9 @@ def drive_to_goal(driver: DemoDriver, by_scanner: bool) -> DrivenGoal:
             interval = driver.arrive("goal, obstacles", robot.go_to(*goal), GOAL_TIMEOUT)
         people = People(perception.people or [(interval.start, np.zeros((0, 3)))])
         return DrivenGoal(goal, people, interval, perception)
-    obstacles = DemoObstacles.in_front_of(pose, driver.now)
-    obstacles.show_to(robot)
+    obstacles = DemoObstacles.in_front_of(pose, driver.now + NOTICE_TIME)
+    obstacles.show_to(robot, driver.now)
+    driver.pause(NOTICE_TIME)
     interval = driver.arrive("goal, obstacles", robot.go_to(*goal), GOAL_TIMEOUT)
     obstacles.hide_from(robot)
     return DrivenGoal(goal, obstacles, interval, None)

@@ -41,10 +41,10 @@ class DemoObstacles:
         result: Array = self._positions + (time - self._start) * self._velocities
         return result
 
-    def show_to(self, robot: Robot) -> None:
-        """Tell a robot of the obstacles, now that they are at their first positions."""
-        rows = np.column_stack([self._positions, self.radii]).tolist()
-        for k, ((x, y, radius), velocity) in enumerate(zip(rows, self._velocities, strict=True)):
+    def show_to(self, robot: Robot, time: float) -> None:
+        """Tell a robot of the obstacles, where they are now, at a ROS time [s]."""
+        rows = zip(self.at(time).tolist(), self.radii.tolist(), self._velocities, strict=True)
+        for k, ((x, y), radius, velocity) in enumerate(rows):
             robot.add_obstacle(f"demo {k}", x, y, radius, velocity)
 
     def hide_from(self, robot: Robot) -> None:

@@ -189,9 +189,9 @@ def test_the_robot_is_told_of_obstacles_where_they_are_judged():
     robot = SimpleNamespace(
         add_obstacle=lambda name, *place: told.__setitem__(name, place), remove_obstacle=told.pop
     )
-    obstacles.show_to(robot)
+    obstacles.show_to(robot, 99.0)
     for (x, y, radius, velocity), now, then, row in zip(
-        told.values(), obstacles.at(100.0), obstacles.at(101.0), DEMO_OBSTACLES, strict=True
+        told.values(), obstacles.at(99.0), obstacles.at(100.0), DEMO_OBSTACLES, strict=True
     ):
         assert (x, y) == pytest.approx(now) and radius == row[4]
         assert (x, y) + velocity == pytest.approx(then)
