@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from test.tiers import exhaustive
+
 pytest.importorskip("matplotlib")
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -28,6 +30,7 @@ FIGURES = {
     "06_arm_and_platform_in_step": {"duration": (3.0, 6.0), "largest_usage": (0.7, 0.9)},
     "07_tool_on_its_path": {"length": (3.4, 3.7), "duration": (10.0, 30.0), "error": (0.0, 1e-6)},
     "08_whole_body_around_a_post": {"arrival": (6, 18), "gap": (0.03, 0.5), "off": (0.0, 1e-6)},
+    "09_client": {"gap": (0.4, 1.5), "end_x": (2.4, 2.6)},
 }
 
 
@@ -62,7 +65,9 @@ def run(script, folder):
 
 
 @pytest.mark.processes
-@pytest.mark.parametrize("script", SCRIPTS, ids=named)
+@pytest.mark.parametrize(
+    "script", [exhaustive(it) if "client" in it.name else it for it in SCRIPTS], ids=named
+)
 def test_an_example_runs_and_its_figures_hold(script, tmp_path):
     from matplotlib import image
 
