@@ -8,6 +8,9 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 
 WAIT_TIMEOUT = 5.0  #: Longest time for which a motion waits until the robot can start it [s]
+#: Longest time for which it waits until a motion of another source has passed, or the controller
+#: is heard [s].
+HANDOVER_TIME = 1.0
 
 
 class StartState(enum.Enum):
@@ -38,7 +41,7 @@ class PendingStart:
     def __init__(self, clock: Callable[[], float], stream_monitor: StreamMonitor) -> None:
         self._clock, self._stream_monitor = clock, stream_monitor
         self._start: Callable[[], None] | None = None
-        self._deadline = 0.0
+        self._deadline = self._handover = 0.0
 
     def __bool__(self) -> bool:
         return self._start is not None
@@ -51,6 +54,7 @@ class PendingStart:
     def restart_timeout(self) -> None:
         """Let the pending motion wait for the whole timeout from now on."""
         now = self._clock()
+        self._handover = now + HANDOVER_TIME
         self._deadline = now + WAIT_TIMEOUT + self._stream_monitor.waiting_time(now)
 
     def discard(self) -> bool:
@@ -61,13 +65,16 @@ class PendingStart:
     def attempt(self, refusal: str, blocking_reason: Callable[[], str]) -> StartAttempt:
         """Start the pending motion if the robot is ready for it.
 
-        The motion is refused at once for a reason in `refusal`, and after the timeout for one that
+        The motion is refused at once for a reason in `refusal`, after `HANDOVER_TIME` if that is
+        one which may pass (`StreamMonitor.passing_reason`), and after the timeout for one that
         `blocking_reason` returns. The motion is no longer pending unless the outcome is that it is
         still waiting.
         """
         if self._start is None:
             return StartAttempt(StartState.NOTHING_PENDING)
         now, reason = self._clock(), refusal
+        if reason and reason == self._stream_monitor.passing_reason and now < self._handover:
+            return StartAttempt(StartState.WAITING, reason)
         if not reason:
             reason = blocking_reason()
             if reason and now < self._deadline:

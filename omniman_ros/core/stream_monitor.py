@@ -84,6 +84,16 @@ class StreamMonitor:
             return "no platform_controller (no message on active_source)"
         return "" if self.source in self._free_sources else f"{self.source} drives"
 
+    @property
+    def passing_reason(self) -> str:
+        """The blocking reason if it may pass by itself in a moment, else empty.
+
+        The controller reports a motion for a moment after its end, and a node that has just
+        started has not heard the controller yet. Who drives by twists has the robot on purpose.
+        """
+        is_passing = not self.stop_reason and self.source not in ("stop", "cmd_vel")
+        return self.blocking_reason if is_passing else ""
+
     def waiting_time(self, now: float) -> float:
         """Return how long a new stream must wait until it is accepted [s]."""
         return max(self._silent_until - now, 0.0)

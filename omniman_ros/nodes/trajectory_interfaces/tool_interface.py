@@ -73,7 +73,7 @@ class ToolInterface(Generic[Plan]):
             context.stream_monitor,
             self.log,
             self._blocking_reason,
-            conflict=self._refusal,
+            conflict=self._conflict,
         )
         self.restart_timeout = self._pending.restart_timeout
         self._plan: tuple[LoggedMotion, Future[Plan]] | None = None
@@ -88,7 +88,7 @@ class ToolInterface(Generic[Plan]):
             "tool_path",
             self.log,
             max_poses=lambda: context.options.tool_path.max_poses,
-            refusal=self._refusal,
+            refusal=self._conflict,
             accept=self._accept,
         )
 
@@ -158,7 +158,8 @@ class ToolInterface(Generic[Plan]):
         why = self._pending.start() if self._plan is None else ""
         if self._plan is None:
             return why
-        (motion, plan), why = self._plan, self._refusal()
+        (motion, plan), why = self._plan, self._context.stream_monitor.blocking_reason
+        why = why or self._conflict()
         if not why and not plan.done():  # a reset must not start the path
             return ""
         self._plan = None
@@ -167,12 +168,10 @@ class ToolInterface(Generic[Plan]):
             self.log.refuse(motion, why)
         return why
 
-    def _refusal(self) -> str:
+    def _conflict(self) -> str:
         if not self._whole_body.idle:
             return "a motion of the whole body is under way; ~/cancel ends it"
-        return self._context.stream_monitor.blocking_reason or self._context.conflict(
-            self._whole_body
-        )
+        return self._context.conflict(self._whole_body)
 
     def _blocking_reason(self) -> str:
         if self._running is not None and not self._running.done():
