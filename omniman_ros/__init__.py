@@ -6,6 +6,9 @@
     kinematics = om.PlatformKinematics(robot.wheels)
     wheel_speeds = kinematics.J @ [0.3, 0.0, 0.2]
 
+    with om.simulated_robot("omniman") as running:    # or om.Robot(), for one that runs already
+        running.go_to(2.0, 1.0, 1.57).wait()
+
 The public names, each imported when it is first used:
 
 * The robot: `load_robot`, `RobotModel`; `Platform` of `Wheels`, `Body`, `Arm`, `Motor` and
@@ -24,6 +27,9 @@ The public names, each imported when it is first used:
   `CanFrame`, for a protocol of your own; `SimulatedBus`, drives for a master of your own. Need
   python-can and canopen.
 * Recordings: `read_recording` and `write_recording` of a `RobotLog`. Need rosbags.
+* A running robot: `Robot`, or `simulated_robot`, which starts one; `MotionHandle` with `Outcome`,
+  `MotionResult`, `MotionFeedback` and `MotionError`; `Reading`; `RobotError`, `RobotTimeoutError`
+  and `NodesRefusedError`. Need ROS 2.
 * Errors: `OmnimanError` and its kinds `ParameterError`, `GeometryError`, `InputError`.
 
 Time is an argument of the cores, SI units and radians hold everywhere, x is forward and y left.
@@ -38,6 +44,17 @@ if TYPE_CHECKING:
     from omniman_ros.can_drives.axis import DriveAxis as DriveAxis
     from omniman_ros.can_drives.drives import CanDrives as CanDrives
     from omniman_ros.can_drives.frame import CanFrame as CanFrame
+    from omniman_ros.client.handle import MotionError as MotionError
+    from omniman_ros.client.handle import MotionFeedback as MotionFeedback
+    from omniman_ros.client.handle import MotionHandle as MotionHandle
+    from omniman_ros.client.handle import MotionResult as MotionResult
+    from omniman_ros.client.handle import Outcome as Outcome
+    from omniman_ros.client.robot import Robot as Robot
+    from omniman_ros.client.simulated import simulated_robot as simulated_robot
+    from omniman_ros.client.state import NodesRefusedError as NodesRefusedError
+    from omniman_ros.client.state import Reading as Reading
+    from omniman_ros.client.state import RobotError as RobotError
+    from omniman_ros.client.state import RobotTimeoutError as RobotTimeoutError
     from omniman_ros.collision.moving_obstacles import MovingObstacles as MovingObstacles
     from omniman_ros.collision.upright_obstacles import UprightObstacles as UprightObstacles
     from omniman_ros.control.coupling_controller import CouplingController as CouplingController
@@ -104,6 +121,10 @@ _PUBLIC = {
     "can_drives.axis": ("AxisState", "Demand", "DriveAxis"),
     "can_drives.drives": ("CanDrives",),
     "can_drives.frame": ("CanFrame",),
+    "client.handle": ("MotionError", "MotionFeedback", "MotionHandle", "MotionResult", "Outcome"),
+    "client.robot": ("Robot",),
+    "client.simulated": ("simulated_robot",),
+    "client.state": ("NodesRefusedError", "Reading", "RobotError", "RobotTimeoutError"),
     "collision.moving_obstacles": ("MovingObstacles",),
     "collision.upright_obstacles": ("UprightObstacles",),
     "control.coupling_controller": ("CouplingController", "CouplingParameters"),

@@ -31,6 +31,9 @@ FIGURES = {
     "07_tool_on_its_path": {"length": (3.4, 3.7), "duration": (10.0, 30.0), "error": (0.0, 1e-6)},
     "08_whole_body_around_a_post": {"arrival": (6, 18), "gap": (0.03, 0.5), "off": (0.0, 1e-6)},
     "09_client": {"gap": (0.4, 1.5), "end_x": (2.4, 2.6)},
+    "10_odometry_of_a_bag": {"parted": (0.03, 0.15)},
+    "11_drive_protocol": {"at_rest": (0.3, 0.6)},
+    "12_canopen_master": {"fastest": (20.0, 21.0), "turns": (29.5, 30.3)},
 }
 
 
