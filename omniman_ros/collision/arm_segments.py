@@ -1,6 +1,7 @@
 """Line segments of the arm and its tool: the axes of their capsules."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -8,7 +9,8 @@ from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.parameters import ToolShape
 from omniman_ros.collision.segments import dot
 from omniman_ros.core.arm_model import JOINTS, ArmModel
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.transforms import transform
 from omniman_ros.description.ur5 import BASE, links
 from omniman_ros.motion.whole_body.model import HALF_TURN, Mount
@@ -17,11 +19,11 @@ TOOL = "tool"  #: Name of the tool among the links
 
 
 @dataclass(frozen=True)
-class Segments:
+class Segments(Validated):
     """Straight line segments in base_link; the first axis holds the three coordinates."""
 
-    start: Array  #: Starts (3, ..., S) [m]
-    end: Array  #: Ends (3, ..., S) [m]
+    start: Annotated[Array, Shape(3, ..., "S")]  #: Starts (3, ..., S) [m]
+    end: Annotated[Array, Shape(3, ..., "S")]  #: Ends (3, ..., S) [m]
 
     def select(self, index: Indices) -> "Segments":
         """Return the segments with some indices."""

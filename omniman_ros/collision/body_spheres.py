@@ -1,6 +1,7 @@
 """Spheres that contain arm, tool and load, with the derivatives of their places."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -8,18 +9,20 @@ from omniman_ros.collision.arm_segments import ArmSegments
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arm_model import JOINTS
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.whole_body.model import Mount
 
 LOAD = "load"  #: Name of the load among the links
 
 
 @dataclass(frozen=True)
-class PlacedSpheres:
+class PlacedSpheres(Validated):
     """Spheres at some configurations of the arm, in base_link."""
 
-    centre: Array  #: Centres (..., S, 3) [m]
-    frames: Array  #: Poses (..., 7, 4, 4) of the arm's base and links
+    centre: Annotated[Array, Shape(..., "S", 3)]  #: Centres (..., S, 3) [m]
+    #: Poses (..., 7, 4, 4) of the arm's base and links
+    frames: Annotated[Array, Shape(..., 7, 4, 4)]
 
 
 class BodySpheres:

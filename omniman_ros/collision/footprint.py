@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.upright_obstacles import Mask
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 HEIGHT_STEP = 0.01  #: Step to which the heights of obstacles are rounded, outwards [m]
 #: Height that counts as above everything, and as below everything with a minus [steps]
@@ -20,13 +22,15 @@ INSIDE = 1e-9  #: Tolerance for round-off when a rectangle is compared with the 
 
 
 @dataclass(frozen=True)
-class Limbs:
+class Limbs(Validated):
     """Parts of the arm, its tool and its load, as line segments with a radius, in groups."""
 
-    start: Array  #: Starts (3, S) of the segments in base_link [m]
-    end: Array  #: Ends (3, S) [m]
-    radius: Array  #: Radii (S,) of the capsules around them [m]
-    group: Indices  #: Numbers (S,) of their groups; a group is bounded by one rectangle
+    start: Annotated[Array, Shape(3, "S")]  #: Starts (3, S) of the segments in base_link [m]
+    end: Annotated[Array, Shape(3, "S")]  #: Ends (3, S) [m]
+    #: Radii (S,) of the capsules around them [m]
+    radius: Annotated[Array, Shape("S", low=0.0, unit="m")]
+    #: Numbers (S,) of their groups; a group is bounded by one rectangle
+    group: Annotated[Indices, Shape("S")]
 
 
 class Footprint:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,9 @@ from omniman_ros.collision.unseen import (
     unseen_limit,
 )
 from omniman_ros.collision.upright_obstacles import UprightObstacles
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 #: Number of intervals into which the predicted motion is divided; they grow with the distance
 STEPS = 12
@@ -35,7 +37,7 @@ TOLERANCE = 1e-6  #: Decrease of a distance that is rounding [m]
 
 
 @dataclass(frozen=True, kw_only=True)
-class MonitorParameters:
+class MonitorParameters(Validated):
     """Distances and times of the limit of the speed."""
 
     margin: float = parameter(
@@ -72,12 +74,14 @@ class MonitorParameters:
 
 
 @dataclass(frozen=True)
-class RobotMotion:
+class RobotMotion(Validated):
     """Where the robot is and how it moves."""
 
-    pose: Array  #: Pose (3,) of base_link in the frame of the surroundings [m, m, rad]
-    joints: Array  #: Joint angles (6,) [rad]; zeros without an arm
-    motion: Array  #: Twist in base_link and joint rates (9,) [m/s, m/s, rad/s, rad/s ...]
+    #: Pose (3,) of base_link in the frame of the surroundings [m, m, rad]
+    pose: Annotated[Array, Shape(3)]
+    joints: Annotated[Array, Shape(6)]  #: Joint angles (6,) [rad]; zeros without an arm
+    #: Twist in base_link and joint rates (9,) [m/s, m/s, rad/s, rad/s ...]
+    motion: Annotated[Array, Shape(9)]
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.upright_obstacles import Mask, UprightObstacles
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 SLOWEST = 0.02  #: Speed up to which an obstacle counts as standing [m/s]
 
 
 @dataclass(frozen=True)
-class MovingObstacles:
+class MovingObstacles(Validated):
     """Obstacles that stand or move at constant velocity."""
 
     obstacles: UprightObstacles  #: M obstacles where they are now
-    velocity: Array  #: Velocities (2, M) in the frame of the obstacles [m/s]
+    #: Velocities (2, M) in the frame of the obstacles [m/s]
+    velocity: Annotated[Array, Shape(2, "M")]
 
     @staticmethod
     def standing(obstacles: UprightObstacles) -> "MovingObstacles":

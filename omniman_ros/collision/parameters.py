@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class ToolShape:
+class ToolShape(Validated):
     """Cylinder at the arm's flange, along z of `tool0`."""
 
     length: float = parameter(
@@ -18,7 +19,7 @@ class ToolShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadShape:
+class LoadShape(Validated):
     """Box that the tool holds, along the axes of `tool0`."""
 
     length: float = parameter(
@@ -45,7 +46,7 @@ class LoadShape:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PersonShape:
+class PersonShape(Validated):
     """Disc on the floor that stands for the smallest person that counts."""
 
     radius: float = parameter(

@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.upright_obstacles import Mask
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.platform import Body
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.platform_shape import platform_cover
 
 #: Largest number of rectangles that stand for a platform with an outline of its own
@@ -16,12 +18,12 @@ MOST_RECTANGLES = 4
 
 
 @dataclass(frozen=True)
-class Rectangles:
+class Rectangles(Validated):
     """One rectangle, or an array of them, fixed to base_link."""
 
-    centre: Array  #: (..., 2) centres in base_link [m]
-    yaw: Array  #: (...) directions of their lengths in base_link [rad]
-    half: Array  #: (..., 2) half lengths and half widths [m], above zero
+    centre: Annotated[Array, Shape(..., 2)]  #: (..., 2) centres in base_link [m]
+    yaw: Annotated[Array, Shape(...)]  #: (...) directions of their lengths in base_link [rad]
+    half: Annotated[Array, Shape(..., 2)]  #: (..., 2) half lengths and half widths [m], above zero
 
     @staticmethod
     def around(body: Body) -> "Rectangles":

@@ -8,6 +8,7 @@ from omniman_ros.collision.body_geometry import BodyGeometry
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
 #: Largest travel of a part relative to another between two samples of the first look [m]
@@ -19,7 +20,7 @@ MAX_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelfCollisionOptions:
+class SelfCollisionOptions(Validated):
     """Options of the check."""
 
     check: bool = parameter(

@@ -8,6 +8,7 @@ Urban Scenarios", Automatika 2009).
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,10 @@ from omniman_ros.collision.curve import curve_poses
 from omniman_ros.collision.parameters import PersonShape
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.upright_obstacles import Mask
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 
 STEPS = 24  #: Number of intervals into which a stop from full speed is divided
 LEVELS = np.linspace(0.02, 1.0, 50)  #: Fractions of full speed that are tried
@@ -26,7 +28,7 @@ MOST_CELLS = 1_000_000  #: Largest number of cells
 
 
 @dataclass(frozen=True)
-class Arrivals:
+class Arrivals(Validated):
     """How soon an occluded pedestrian could be where.
 
     Raises:
@@ -36,19 +38,19 @@ class Arrivals:
 
     #: (rows along y, columns along x) time in which somebody's centre could be in a cell [s];
     #: infinity where nobody can be soon.
-    times: Array
+    times: Annotated[Array, Shape("rows", "columns", low=0.0, unit="s", finite=False)]
     resolution: float  #: Edge of a cell [m]
-    origin: Array  #: (2,) corner of the first cell in the frame of the robot's pose [m]
+    #: (2,) corner of the first cell in the frame of the robot's pose [m]
+    origin: Annotated[Array, Shape(2)]
 
     def __post_init__(self) -> None:
-        if self.times.ndim != 2 or not 0 < self.times.size <= MOST_CELLS:
+        super().__post_init__()
+        if not 0 < self.times.size <= MOST_CELLS:
             raise InputError(f"the times have shape {self.times.shape}, expected rows and columns")
-        if not (self.times >= 0.0).all():
-            raise InputError("a time is negative or not a number")
-        if not (0.0 < self.resolution < math.inf and np.isfinite(self.origin).all()):
-            raise InputError(
-                f"the resolution {self.resolution} m or the origin {self.origin} is not usable"
-            )
+        if np.isnan(self.times).any():
+            raise InputError("a time is not a number")
+        if not self.resolution > 0.0:
+            raise InputError(f"the resolution {self.resolution} m must be above 0")
 
     def after(self, time: float) -> "Arrivals":
         """Return the times from another time on, up to which nothing more was seen [s]."""
@@ -73,7 +75,7 @@ class Arrivals:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnseenLimitParameters:
+class UnseenLimitParameters(Validated):
     """Whether and how the speed respects what no scanner sees."""
 
     use: bool = parameter(
@@ -95,11 +97,11 @@ class UnseenLimitParameters:
 
 
 @dataclass(frozen=True)
-class OcclusionLimit:
+class OcclusionLimit(Validated):
     """Fraction of the speed limits, 0 to 1, and the position (2,) it is for; None without one."""
 
     fraction: float = 1.0
-    position: Array | None = None
+    position: Annotated[Array | None, Shape(2)] = None
 
 
 def unseen_limit(

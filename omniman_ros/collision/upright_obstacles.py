@@ -5,19 +5,21 @@ The first axis of an array of points holds their three coordinates.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.convex_search import Indices, Outward, box_gaps, distances_along
 from omniman_ros.collision.segments import dot
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 Mask = NDArray[np.bool_]  #: Array of flags
 
 
 @dataclass(frozen=True)
-class UprightObstacles:
+class UprightObstacles(Validated):
     """Boxes with vertical edges that may be rounded: boxes, cylinders, and walls with round ends.
 
     A solid is the set of all points that are within `rounding` of a rectangle horizontally, and
@@ -27,12 +29,14 @@ class UprightObstacles:
         lower, upper: Heights (M,) of their lower and upper sides [m].
     """
 
-    centre: Array  #: Centres (2, M) of the rectangles [m]
-    yaw: Array  #: Directions (M,) of their lengths [rad]
-    half: Array  #: Half lengths and half widths (2, M) [m]; zero for cylinders
-    rounding: Array  #: Horizontal distances (M,) by which the rectangles are extended [m]
-    lower: Array
-    upper: Array
+    centre: Annotated[Array, Shape(2, ..., "M")]  #: Centres (2, M) of the rectangles [m]
+    yaw: Annotated[Array, Shape("M")]  #: Directions (M,) of their lengths [rad]
+    #: Half lengths and half widths (2, M) [m]; zero for cylinders
+    half: Annotated[Array, Shape(2, "M")]
+    #: Horizontal distances (M,) by which the rectangles are extended [m]
+    rounding: Annotated[Array, Shape("M")]
+    lower: Annotated[Array, Shape("M", finite=False)]
+    upper: Annotated[Array, Shape("M", finite=False)]
 
     @staticmethod
     def box(

@@ -17,10 +17,11 @@ import numpy as np
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class CouplingParameters:
+class CouplingParameters(Validated):
     """Gain and authority of the coupling controller, and what epsilon it expects."""
 
     k_epsilon: float = parameter(

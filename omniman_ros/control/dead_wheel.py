@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 Flags = NDArray[np.bool_]  #: One flag per wheel, (n,) bool
 
@@ -51,7 +51,7 @@ RESPONSE_FRACTION = 0.5
 
 
 @dataclass(frozen=True)
-class WheelHealthParameters:
+class WheelHealthParameters(Validated):
     """Thresholds of dead and blocked wheels; torques are fractions of the largest torque."""
 
     asked_torque: float = parameter(
@@ -92,10 +92,11 @@ class WheelHealthParameters:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("asked_torque", "probe_torque"):
             if getattr(self, name) <= self.silent_torque:
                 reason = f"must be above health.silent_torque = {self.silent_torque:g}"
-                raise ParameterError(f"health.{name}", getattr(self, name), reason)
+                raise self._refusal(name, reason)
 
 
 def _open_fraction(model: PlatformKinematics) -> Array:

@@ -17,6 +17,7 @@ from omniman_ros.control.odometry import REST_TIME, Odometry
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 MAX_REPORT_GAP = 0.1  #: Longest time between two reports of torques that the estimate bridges [s]
 #: Time for which a speed must be lost that the wheels still have [s]: rollers that slip while the
@@ -35,7 +36,7 @@ BIAS_TIME = 1.0
 
 
 @dataclass(frozen=True)
-class HeldRobotParameters:
+class HeldRobotParameters(Validated):
     """Thresholds from which a robot counts as held."""
 
     stop: bool = parameter(

@@ -2,14 +2,16 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.core import plausible
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 
 #: Wheel speed from which measurements cannot stay the same to the last digit [rad/s]
 MIN_TURNING_SPEED = 0.1
@@ -20,7 +22,7 @@ NONE_YET = "no imu yet"  #: Fault before the first measurement
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImuParameters:
+class ImuParameters(Validated):
     """Use, mounting and noise of an inertial measurement unit."""
 
     use: bool = parameter(
@@ -63,7 +65,7 @@ class ImuParameters:
 
 
 @dataclass(frozen=True)
-class InertialStep:
+class InertialStep(Validated):
     """What the sensor measured between two reports of the wheels."""
 
     rotation: float  #: Rotation about the vertical, bias included [rad]
@@ -74,7 +76,7 @@ class InertialStep:
     bias_drift: float  #: Variance that the bias has gained [rad^2/s^2]
     initial_bias_variance: float  #: Variance of a bias of which nothing is known yet [rad^2/s^2]
     #: Acceleration (2,) of base_link's origin along base_link's x and y, bias included [m/s^2]
-    acceleration: Array
+    acceleration: Annotated[Array, Shape(2)]
 
 
 class ImuFeedback:

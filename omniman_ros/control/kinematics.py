@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import GeometryError
+from omniman_ros.core.errors import GeometryError, InputError
 from omniman_ros.core.platform import Wheels
 
 #: Smallest pivot of J that adds to its rank (J normalised, lengths scaled by the platform's size)
@@ -67,6 +67,7 @@ class PlatformKinematics:
             does not show. With three wheels all are, with four some may be.
 
     Raises:
+        InputError: An idle wheel is none of the n.
         GeometryError: A wheel cannot drive (gamma at +-90 degrees), or the wheels together cannot
             move the platform in all three directions (rank of J below 3).
     """
@@ -74,6 +75,8 @@ class PlatformKinematics:
     def __init__(self, wheels: Wheels, idle: Collection[int] = ()) -> None:
         n = len(wheels.names)
         self.idle = tuple(sorted(idle))
+        if not set(self.idle) <= set(range(n)):
+            raise InputError(f"idle wheels {self.idle} are not indices from 0 to {n - 1}")
         for name, gamma in zip(wheels.names, wheels.roller_angle, strict=True):
             if abs(math.cos(gamma)) < ROLLER_TOLERANCE:
                 raise GeometryError(

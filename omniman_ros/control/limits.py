@@ -7,12 +7,13 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import REQUIRED, parameter
+from omniman_ros.core.validated import Validated
 
 Pair = tuple[float, float]  #: A linear and an angular limit, e.g. [m/s, rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwistLimits:
+class TwistLimits(Validated):
     """Limits of the platform's twist; the linear ones apply to the length of (x', y')."""
 
     linear_velocity: float = parameter(

@@ -21,6 +21,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 #: Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]
 REST_SPEED = 0.02
@@ -36,7 +37,7 @@ MIN_DETERMINANT = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryParameters:
+class OdometryParameters(Validated):
     """Calibration and noise of the odometry.
 
     The calibration is a matrix that multiplies the measured twist: scales are on its diagonal,
@@ -111,11 +112,11 @@ class OdometryParameters:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         determinant = float(np.linalg.det(self.correction))
         if determinant < MIN_DETERMINANT:
-            raise ParameterError(
-                "odometry.scale_x",
-                self.scale_x,
+            raise self._refusal(
+                "scale_x",
                 f"with the other scales and cross terms the calibration matrix has the "
                 f"determinant {determinant:.3g}, below {MIN_DETERMINANT:g}",
             )

@@ -15,10 +15,11 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class DriveParameters:
+class DriveParameters(Validated):
     """Parameters of the use and the monitoring of the wheel drives."""
 
     mode: str = parameter(
@@ -69,7 +70,7 @@ class DriveParameters:
 
 
 @dataclass(frozen=True)
-class Timeouts:
+class Timeouts(Validated):
     """Times after which inputs are stale, and for which they are held or ignored."""
 
     cmd_vel: float = parameter(
@@ -115,7 +116,7 @@ class Timeouts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlatformParameters:
+class PlatformParameters(Validated):
     """All parameters of the platform controller, including those of the robot.
 
     Raises:
@@ -138,13 +139,12 @@ class PlatformParameters:
     collision_monitor: MotionLimitParameters
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.odometry.require_wheel_count(self.robot.wheel_count)
         if "velocity" not in self.drive.offered:
-            raise ParameterError(
-                "drive.offered", self.drive.offered, "must include velocity, which stops use"
-            )
+            raise self._refusal("drive.offered", "must include velocity, which stops use")
         if self.drive.mode not in self.drive.offered:
-            raise ParameterError("drive.mode", self.drive.mode, "must be one of drive.offered")
+            raise self._refusal("drive.mode", "must be one of drive.offered")
         names = self.robot.wheels.names
         for wheel in self.drive.dead:
             if wheel not in names:

@@ -10,10 +10,11 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.preview import Setpoint
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class PositionGains:
+class PositionGains(Validated):
     """Gains and bounds of the position controller."""
 
     k_xy: float = parameter(4.0, "Gain of the position error.", unit="1/s", low=0, high=50)

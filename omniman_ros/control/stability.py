@@ -21,6 +21,7 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 #: Smallest fraction of the limits of acceleration and deceleration that any posture leaves: the
 #: robot must remain able to stop.
@@ -32,7 +33,7 @@ PARALLEL = 1e-9  #: Area over that of the platform below which three wheels coun
 
 
 @dataclass(frozen=True)
-class StabilityParameters:
+class StabilityParameters(Validated):
     """How much of the robot's stability accelerations may use; for robots with an arm only."""
 
     limit: bool = parameter(

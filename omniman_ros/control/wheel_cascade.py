@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from omniman_ros.control.limits import saturation
 from omniman_ros.control.odometry import REST_SPEED
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_controller import WheelController
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.platform import Arm
+from omniman_ros.core.validated import Validated
 
 
 class DriveMode(Enum):
@@ -27,14 +29,15 @@ class DriveMode(Enum):
 
 
 @dataclass(frozen=True)
-class WheelCommand:
+class WheelCommand(Validated):
     """A command to the drives of the n wheels, in the robot's order."""
 
     mode: DriveMode  #: Quantity that the drives follow
     #: Torque feed-forward [N m] in VELOCITY mode, torque [N m] in TORQUE mode, motor voltage [V]
     #: in VOLTAGE mode (n,).
-    effort: Array
-    velocity: Array | None = None  #: Wheel speeds (n,) [rad/s] in VELOCITY mode, else None
+    effort: Annotated[Array, Shape("n")]
+    #: Wheel speeds (n,) [rad/s] in VELOCITY mode, else None
+    velocity: Annotated[Array | None, Shape("n")] = None
 
 
 class WheelCascade:
@@ -134,7 +137,9 @@ class WheelCascade:
         self._wheels.reset()
         if not max(map(abs, measured.tolist())) > REST_SPEED:
             self.coupling.rest()
-        return WheelCommand(DriveMode.VELOCITY, np.zeros_like(measured), self.reference)
+        return WheelCommand.unchecked(
+            mode=DriveMode.VELOCITY, effort=np.zeros_like(measured), velocity=self.reference
+        )
 
     def voltage_command(
         self, volts: Array, measured: Array, probe: Array | None = None
@@ -153,7 +158,7 @@ class WheelCascade:
         self._wheels.reset()
         if probe is not None:
             volts = self.dynamics.voltage(self.demanded_torque + probe, measured)
-        return WheelCommand(DriveMode.VOLTAGE, volts)
+        return WheelCommand.unchecked(mode=DriveMode.VOLTAGE, effort=volts, velocity=None)
 
     def command(
         self,
@@ -186,7 +191,8 @@ class WheelCascade:
             effort = np.zeros_like(wheel_speeds)
         if mode is DriveMode.VELOCITY:
             self._wheels.reset()
-            return WheelCommand(mode, effort if probe is None else effort + probe, reference)
+            effort = effort if probe is None else effort + probe
+            return WheelCommand.unchecked(mode=mode, effort=effort, velocity=reference)
         torque_range = None
         if mode is DriveMode.VOLTAGE:
             torque_range = self.dynamics.voltage_torques(reference)
@@ -195,5 +201,6 @@ class WheelCascade:
         if probe is not None:
             torque = torque + probe
         if mode is DriveMode.TORQUE:
-            return WheelCommand(mode, torque)
-        return WheelCommand(mode, self.dynamics.voltage(torque, reference))
+            return WheelCommand.unchecked(mode=mode, effort=torque, velocity=None)
+        volts = self.dynamics.voltage(torque, reference)
+        return WheelCommand.unchecked(mode=mode, effort=volts, velocity=None)

@@ -10,10 +10,11 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class WheelGains:
+class WheelGains(Validated):
     """Gains of the wheel controllers, for torque and voltage mode only."""
 
     bandwidth: float = parameter(

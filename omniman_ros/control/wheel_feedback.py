@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.control.encoder import Unwrapper, VelocityObserver
 from omniman_ros.core import plausible
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 
 #: Bandwidth of the observer that estimates wheel speeds if the drives report none [rad/s]
 OBSERVER_BANDWIDTH = 60.0
@@ -25,15 +27,15 @@ MAX_JUMP = 0.3
 
 
 @dataclass(frozen=True)
-class WheelStep:
+class WheelStep(Validated):
     """Motion of the wheels between two reports."""
 
-    moved: Array  #: Rotation of each wheel (n,) [rad]
-    speeds: Array  #: Speed of each wheel (n,) at the second report [rad/s]
+    moved: Annotated[Array, Shape("n")]  #: Rotation of each wheel (n,) [rad]
+    speeds: Annotated[Array, Shape("n")]  #: Speed of each wheel (n,) at the second report [rad/s]
     dt: float  #: Time between the reports [s]
     #: Rotation of each wheel (n,) that may be missing in `moved` [rad]; None if the reports follow
     #: each other closely.
-    unknown: Array | None
+    unknown: Annotated[Array | None, Shape("n")]
     warning: str  #: What is not known of the motion, or empty
 
 
@@ -125,7 +127,9 @@ class WheelFeedback:
         else:
             largest = dt * np.maximum(np.abs(last_speeds), np.abs(self.speeds))
             self._compare(integrated - moved, largest, dt)
-        return WheelStep(moved, self.speeds, dt, None, "")
+        return WheelStep.unchecked(
+            moved=moved, speeds=self.speeds, dt=dt, unknown=None, warning=""
+        )
 
     def _step_over(
         self, fault: str, moved: Array | None, last_speeds: Array, dt: float

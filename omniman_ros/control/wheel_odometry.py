@@ -13,10 +13,11 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelOdometryParameters:
+class WheelOdometryParameters(Validated):
     """Parameters of the odometry, including those of the robot.
 
     Raises:
@@ -28,6 +29,7 @@ class WheelOdometryParameters:
     imu: ImuParameters
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self.odometry.require_wheel_count(self.robot.wheel_count)
 
 

@@ -3,8 +3,8 @@
 import math
 from dataclasses import dataclass
 
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 #: Value of a limit: one for all joints, or one per joint, in the limit's unit
 Floats = tuple[float, ...]
@@ -20,7 +20,7 @@ UR_JOINTS = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmParameters:
+class ArmParameters(Validated):
     """Names and limits of the arm's joints; a limit of a single number applies to all joints.
 
     Names, ranges and speeds are those of the public description of the UR5 (joint_limits.yaml of
@@ -73,18 +73,17 @@ class ArmParameters:
             ParameterError: There are no joints, a name is empty or repeated, a limit has neither
                 one value nor one per joint, or a lower limit is not below the upper one.
         """
+        super().__post_init__()
         n = len(self.joints)
         if n == 0 or len(set(self.joints)) != n or not all(self.joints):
-            raise ParameterError(
-                "arm.joints", self.joints, "must have a different name for each joint"
-            )
+            raise self._refusal("joints", "must have a different name for each joint")
         for label in ("lower", "upper", "velocity", "acceleration", "jerk"):
             if len(getattr(self, label)) not in (1, n):
                 reason = f"must have one value or {n}, one per joint"
-                raise ParameterError(f"arm.{label}", getattr(self, label), reason)
+                raise self._refusal(label, reason)
         for low, high in zip(self.each("lower"), self.each("upper"), strict=True):
             if not low < high:
-                raise ParameterError("arm.lower", self.lower, "must be below arm.upper")
+                raise self._refusal("lower", "must be below arm.upper")
 
     def each(self, label: str) -> Floats:
         """Return one kind of limit with one value per joint, in the unit of its parameter.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 #: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
@@ -18,7 +19,7 @@ HEADROOM = 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanParameters:
+class CanParameters(Validated):
     """Parameters of the wheel drives on one CAN bus.
 
     Four hexadecimal digits in a description are the index of a CiA 402 or CANopen object.

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImuMount:
+class ImuMount(Validated):
     """Pose in base_link of an inertial measurement unit whose z axis points upward."""
 
     x: float = parameter(0.0, "Position in base_link, forward.", unit="m", low=-10, high=10)

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 NEVER = float("-inf")  #: Time of an event that has not happened [s]
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionLimitParameters:
+class MotionLimitParameters(Validated):
     """Parameters of the limit that comes from `collision_monitor`."""
 
     use: bool = parameter(

@@ -1,14 +1,15 @@
 """Maps of occupancy, and updates of a part of their cells."""
 
-import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core import plausible
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 
 #: Occupancies (rows along y, columns along x) of cells, 0 to 100 [%]; negative where unknown
 Cells = NDArray[np.int8]
@@ -17,7 +18,7 @@ MAX_CELLS = 25_000_000  #: Largest number of cells of a map: 250 x 250 m at 5 cm
 
 
 @dataclass(frozen=True)
-class MapUpdate:
+class MapUpdate(Validated):
     """Rectangle of cells that replaces those of a map.
 
     Attributes:
@@ -27,14 +28,16 @@ class MapUpdate:
         InputError: The cells do not have two axes, or there are none or too many.
     """
 
-    values: Cells  #: (rows, columns) occupancies of the rectangle [%]
+    #: (rows, columns) occupancies of the rectangle [%]
+    values: Annotated[Cells, Shape("rows", "columns")]
     column: int
     row: int
     frame: str = ""  #: Name of the map's frame
     time: float | None = None  #: Stamp [s]; None without one
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _checked(self.values))
+        super().__post_init__()
+        _require_cells(self.values)
 
     def is_before(self, known: "OccupancyMap") -> bool:
         """Return whether both are stamped, and the update is older than the map."""
@@ -42,7 +45,7 @@ class MapUpdate:
 
 
 @dataclass(frozen=True)
-class OccupancyMap:
+class OccupancyMap(Validated):
     """Map of cells, each of which is occupied with some probability.
 
     Raises:
@@ -50,26 +53,22 @@ class OccupancyMap:
             is not above 0; or the origin or the size is not finite or plausible.
     """
 
-    values: Cells  #: (rows, columns) occupancies [%], read-only
+    #: (rows, columns) occupancies [%], read-only
+    values: Annotated[Cells, Shape("rows", "columns")]
     resolution: float  #: Edge of a cell [m]
     #: (3,) x, y, yaw of the corner of the first cell in the frame [m, m, rad], read-only
-    origin: Array
+    origin: Annotated[Array, Shape(3)]
     frame: str = ""  #: Name of the frame
     time: float | None = None  #: Stamp [s]; None without one
 
     def __post_init__(self) -> None:
-        values = _checked(self.values)
-        if not (math.isfinite(self.resolution) and self.resolution > 0.0):
+        super().__post_init__()
+        _require_cells(self.values)
+        plausible.demand(self.origin, plausible.LENGTH, "map: origin")
+        if not self.resolution > 0.0:
             raise InputError(f"the resolution is {self.resolution} m, expected above 0")
-        origin = np.array(self.origin, dtype=np.float64)
-        if origin.shape != (3,):
-            raise InputError(f"map: the origin has shape {origin.shape}, expected (3,)")
-        plausible.demand(origin, plausible.LENGTH, "map: origin")
-        size = self.resolution * np.array(values.shape, dtype=np.float64)
+        size = self.resolution * np.array(self.values.shape, dtype=np.float64)
         plausible.demand(size, plausible.LENGTH, "map: size")
-        origin.setflags(write=False)
-        object.__setattr__(self, "values", values)
-        object.__setattr__(self, "origin", origin)
 
     def updated(self, update: MapUpdate) -> "OccupancyMap":
         """Return the map with the cells of an update, and with its stamp.
@@ -125,14 +124,9 @@ def changed_cells(before: Cells, after: Cells) -> tuple[slice, slice] | None:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def _checked(values: Cells) -> Cells:
-    cells: Cells = np.asarray(values, dtype=np.int8)
-    if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:
+def _require_cells(cells: Cells) -> None:
+    if not 0 < cells.size <= MAX_CELLS:
         raise InputError(
             f"map: the cells have shape {cells.shape}, expected rows and columns of 1 to "
             f"{MAX_CELLS} cells"
         )
-    if cells.flags.writeable:  # the caller's, who may change it
-        cells = cells.copy()
-        cells.setflags(write=False)
-    return cells

@@ -1,30 +1,40 @@
 """The robot as configuration: geometry, masses, motors and friction of any n >= 3 wheels."""
 
+import math
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
 
 import numpy as np
 
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.parameters import REQUIRED, flatten, parameter
+from omniman_ros.core.parameters import REQUIRED, Spec, parameter
 from omniman_ros.core.polygon import is_simple, signed_area
+from omniman_ros.core.se2 import wrap
+from omniman_ros.core.validated import Validated
 
 #: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
-#: Parameter group whose arrays have one value per wheel
-Group = TypeVar("Group", "Wheels", "Friction")
+PER_WHEEL = ("heading", "roller_angle", "radius", "inertia")  #: Arrays that may have one value
+PER_WHEEL_FRICTION = ("viscous", "coulomb", "roller")  #: Arrays that may have one value
+MOST_WHEELS = 64  #: Largest number of wheels of a usual layout
 MOST_CORNERS = 64  #: Largest number of corners of the platform's outline
 LEAST_AREA = 0.0025  #: Smallest area of the platform's outline [m^2]
 ROUND_OFF = 1e-9  #: How far a corner may be outside of the bounding box [m]
 
 
+def _distance(name: str) -> Spec:
+    return Spec(f"Wheels.{name}", float, unit="m", low=0.01, high=20, doc="A distance.")
+
+
 @dataclass(frozen=True, kw_only=True)
-class Wheels:
+class Wheels(Validated):
     """Position of each wheel and angle of its rollers (CCTA 2017 Fig. 3); arrays of length n.
 
-    Every array except names, `x` and `y` may have one value for all wheels.
+    Every array except names, `x` and `y` may be given with one value for all wheels.
+
+    Raises:
+        ParameterError: A value is refused, arrays differ in length, there are fewer than three
+            wheels, or a name is empty or repeated.
     """
 
     names: tuple[str, ...] = parameter(
@@ -74,6 +84,75 @@ class Wheels:
         read_only=True,
     )
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.names) < 3:
+            raise self._refusal("names", "a platform needs at least three wheels")
+        for name in self.names:
+            if not name or self.names.count(name) > 1:
+                raise self._refusal("names", f"'{name}' is empty or repeated")
+        for name in ("x", "y", *PER_WHEEL):
+            values, n = getattr(self, name), len(self.names)
+            if len(values) != n and (len(values) != 1 or name in ("x", "y")):
+                raise self._refusal(name, f"has {len(values)} values, {n} wheels")
+            object.__setattr__(self, name, values if len(values) == n else values * n)
+
+    @classmethod
+    def mecanum(cls, *, wheelbase: float, track: float, radius: float, inertia: float) -> "Wheels":
+        """Return four Mecanum wheels at the corners of a rectangle, rollers at +-45 degrees.
+
+        Their order is front left, front right, rear left, rear right. Seen from above, the upper
+        rollers make an X.
+
+        Args:
+            wheelbase: Distance between the front and the rear axle [m].
+            track: Distance between the left and the right wheels [m].
+            radius: Wheel radius [m].
+            inertia: Inertia of wheel, gear and rotor about the wheel's axle [kg m^2].
+
+        Raises:
+            ParameterError: A value is refused.
+        """
+        x = 0.5 * _distance("wheelbase").check(wheelbase)
+        y = 0.5 * _distance("track").check(track)
+        angle = 0.25 * math.pi
+        return cls(
+            names=("front_left", "front_right", "rear_left", "rear_right"),
+            x=(x, x, -x, -x),
+            y=(y, -y, y, -y),
+            roller_angle=(-angle, angle, angle, -angle),
+            radius=(radius,),
+            inertia=(inertia,),
+        )
+
+    @classmethod
+    def omni(cls, *, count: int, distance: float, radius: float, inertia: float) -> "Wheels":
+        """Return Omni wheels on a circle, the first one ahead, the others counter-clockwise.
+
+        Forward, a wheel rolls counter-clockwise around the circle.
+
+        Args:
+            count: Number n >= 3 of wheels, which are named wheel_1 to wheel_n.
+            distance: Distance of the contacts from the centre [m].
+            radius: Wheel radius [m].
+            inertia: Inertia of wheel, gear and rotor about the wheel's axle [kg m^2].
+
+        Raises:
+            ParameterError: A value is refused.
+        """
+        distance = _distance("distance").check(distance)
+        count = Spec("Wheels.count", int, low=3, high=MOST_WHEELS, doc="Number.").check(count)
+        angles = [2.0 * math.pi * k / count for k in range(count)]
+        return cls(
+            names=tuple(f"wheel_{k + 1}" for k in range(count)),
+            x=tuple(distance * math.cos(angle) for angle in angles),
+            y=tuple(distance * math.sin(angle) for angle in angles),
+            heading=tuple(wrap(angle + 0.5 * math.pi) for angle in angles),
+            roller_angle=(0.0,),
+            radius=(radius,),
+            inertia=(inertia,),
+        )
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the wheels' joints in the URDF and on `joint_states`, in the same order.
@@ -86,7 +165,7 @@ class Wheels:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Body:
+class Body(Validated):
     """The platform without the arm.
 
     Raises:
@@ -140,23 +219,24 @@ class Body:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         x, y = self.outline_x, self.outline_y
         if len(x) != len(y):
-            raise ParameterError("body.outline_y", y, f"has {len(y)} values, outline_x {len(x)}")
+            raise self._refusal("outline_y", f"has {len(y)} values, outline_x {len(x)}")
         if not x:
             return
         if not 3 <= len(x) <= MOST_CORNERS:
-            raise ParameterError("body.outline_x", x, f"needs 3 to {MOST_CORNERS} corners")
+            raise self._refusal("outline_x", f"needs 3 to {MOST_CORNERS} corners")
         for name, values, size in (("x", x, self.length), ("y", y, self.width)):
             if max(map(abs, values)) > 0.5 * size + ROUND_OFF:
                 reason = f"leaves the bounding box, which ends at {0.5 * size:g} m"
-                raise ParameterError(f"body.outline_{name}", values, reason)
+                raise self._refusal(f"outline_{name}", reason)
         corners = np.column_stack((x, y))
         if not is_simple(corners):
-            raise ParameterError("body.outline_x", x, "the sides of the outline cross or touch")
+            raise self._refusal("outline_x", "the sides of the outline cross or touch")
         if abs(signed_area(corners)) < LEAST_AREA:
             reason = f"the outline is smaller than {LEAST_AREA:g} m^2"
-            raise ParameterError("body.outline_x", x, reason)
+            raise self._refusal("outline_x", reason)
 
     @property
     def outline(self) -> Array | None:
@@ -180,7 +260,7 @@ class Body:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arm:
+class Arm(Validated):
     """The arm as a body at rest on the platform; mass 0 means that there is none.
 
     Inertia and centre of mass are those of one posture, for as long as no other is known.
@@ -216,13 +296,14 @@ class Arm:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.tool_centre) != 3:
             reason = "must have three coordinates"
-            raise ParameterError("arm.tool_centre", self.tool_centre, reason)
+            raise self._refusal("tool_centre", reason)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Motor:
+class Motor(Validated):
     """DC motors with gears; electrical values are at the motor (CCTA 2017 (22), MPC 2021 (21))."""
 
     resistance: float = parameter(
@@ -257,7 +338,7 @@ class Motor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Friction:
+class Friction(Validated):
     """Friction at the wheel (CCTA 2017 (23), MPC 2021 (24)); one value or one per wheel."""
 
     viscous: Floats = parameter(
@@ -277,12 +358,11 @@ class Friction:
 
 
 @dataclass(frozen=True)
-class Platform:
-    """Configuration of a whole platform; arrays with one value are broadcast to the n wheels.
+class Platform(Validated):
+    """Configuration of a whole platform; friction with one value holds for all n wheels.
 
     Raises:
-        ParameterError: Arrays differ in length, there are fewer than three wheels, or a name is
-            empty or repeated.
+        ParameterError: The friction's arrays have neither one value nor one for each wheel.
     """
 
     wheels: Wheels
@@ -292,26 +372,15 @@ class Platform:
     friction: Friction
 
     def __post_init__(self) -> None:
-        names = self.wheels.names
-        if len(names) < 3:
-            raise ParameterError("wheels.names", names, "a platform needs at least three wheels")
-        for name in names:
-            if not name or names.count(name) > 1:
-                raise ParameterError("wheels.names", names, f"'{name}' is empty or repeated")
-        for group in ("wheels", "friction"):
-            object.__setattr__(self, group, self._broadcast(group, getattr(self, group)))
-
-    def _broadcast(self, prefix: str, group: Group) -> Group:
-        n = len(self.wheels.names)
-        arrays: dict[str, Any] = {}
-        for key, value in flatten(group).items():
-            if not isinstance(value, tuple):
-                continue
-            if len(value) not in (1, n) or (len(value) == 1 and key in ("x", "y")):
-                reason = f"{len(value)} values, {n} wheels"
-                raise ParameterError(f"{prefix}.{key}", value, f"has {reason}")
-            arrays[key] = value if len(value) == n else value * n
-        return replace(group, **arrays)
+        super().__post_init__()
+        n = self.wheel_count
+        for name in PER_WHEEL_FRICTION:
+            values = getattr(self.friction, name)
+            if len(values) not in (1, n):
+                raise self._refusal(f"friction.{name}", f"has {len(values)} values, {n} wheels")
+            if len(values) != n:
+                friction = replace(self.friction, **{name: values * n})
+                object.__setattr__(self, "friction", friction)
 
     @property
     def wheel_count(self) -> int:

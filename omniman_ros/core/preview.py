@@ -1,24 +1,26 @@
 """Previews of the platform's motion: timed poses, velocities and accelerations in odom."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.core import plausible, round_off, se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
+from omniman_ros.core.validated import Validated
 
 MAX_POINTS = 5000  #: Largest number of points in a preview
 
 
 @dataclass(frozen=True)
-class Setpoint:
+class Setpoint(Validated):
     """One instant of a reference: x, x', x'' of CCTA 2017 V.B in the world frame."""
 
-    pose: Array  #: Pose (3,) [m, m, rad]
-    velocity: Array  #: Velocity (3,) [m/s, m/s, rad/s]
-    acceleration: Array  #: Acceleration (3,) [m/s^2, m/s^2, rad/s^2]
+    pose: Annotated[Array, Shape(3)]  #: Pose (3,) [m, m, rad]
+    velocity: Annotated[Array, Shape(3)]  #: Velocity (3,) [m/s, m/s, rad/s]
+    acceleration: Annotated[Array, Shape(3)]  #: Acceleration (3,) [m/s^2, m/s^2, rad/s^2]
 
 
 class Preview:
@@ -79,4 +81,5 @@ class Preview:
 
     def sample(self, now: float) -> Setpoint:
         """Return the setpoint at `now` [s]."""
-        return Setpoint(*self._curve.sample(now))
+        pose, velocity, acceleration = self._curve.sample(now)
+        return Setpoint.unchecked(pose=pose, velocity=velocity, acceleration=acceleration)

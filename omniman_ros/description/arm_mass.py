@@ -56,10 +56,9 @@ class ArmMass:
         upright = poses[:, 2, :3]  # The vertical in each body's own axes.
         own = np.einsum("ki,kij,kj->", upright, self._tensors, upright)
         apart = self._masses @ ((points[:, :2] - centre[:2]) ** 2).sum(axis=1)
-        com_x, com_y, com_z = centre.tolist()
-        return replace(
-            self._arm, com_x=com_x, com_y=com_y, com_z=com_z, inertia=float(own + apart)
-        )
+        x, y, z = centre.tolist()
+        # A centre below the floor is that of a mount whose height is unknown.
+        return replace(self._arm, com_x=x, com_y=y, com_z=max(0.0, z), inertia=float(own + apart))
 
 
 def _tensor(body: Inertia) -> Array:

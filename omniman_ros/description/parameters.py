@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.urdf import carries_arm, require_joint_names, urdf
 from omniman_ros.motion.whole_body.model import Mount
 
 
 @dataclass(frozen=True, kw_only=True)
-class DescriptionParameters:
+class DescriptionParameters(Validated):
     """The platform, the arm's joints, and the pose of the arm on the platform."""
 
     robot: Platform = inline()
@@ -29,6 +30,7 @@ class DescriptionParameters:
         Raises:
             ParameterError: A joint's name is used twice, or cannot be written.
         """
+        super().__post_init__()
         require_joint_names(self.robot, self.arm)
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.motion.axes import PLANAR_VARIABLES
@@ -23,7 +24,7 @@ SOLVER_TIMEOUT = 0.05  #: Time for the inverse kinematics of a pose [s]
 
 
 @dataclass(frozen=True)
-class MoveItConfiguration:
+class MoveItConfiguration(Validated):
     """What move_group needs to know of a robot.
 
     Raises:
@@ -34,6 +35,7 @@ class MoveItConfiguration:
     path: PathParameters  #: Limits of the platform on paths, which `path_interpolator` holds
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not carries_arm(self.description.robot):
             raise ParameterError("arm.mass", self.description.robot.arm.mass, "must be above 0")
 

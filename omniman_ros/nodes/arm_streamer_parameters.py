@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.ur.parameters import UrParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmStreamerParameters:
+class ArmStreamerParameters(Validated):
     """Parameters of the node: the arm, its controller, and how the node starts."""
 
     arm: ArmParameters

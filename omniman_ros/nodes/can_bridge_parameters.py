@@ -6,10 +6,11 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class CanBridgeParameters:
+class CanBridgeParameters(Validated):
     """Parameters of the node: robot, installation, and automatic start."""
 
     robot: Platform = inline()

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClockParameters:
+class ClockParameters(Validated):
     """Whether a node gives simulated time, and its pace."""
 
     publish_clock: bool = parameter(

@@ -9,6 +9,7 @@ from omniman_ros.collision.speed_limits import SpeedLimits
 from omniman_ros.collision.unseen import UnseenLimitParameters
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.surroundings_parameters import MapReading
@@ -16,7 +17,7 @@ from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollisionMonitorParameters:
+class CollisionMonitorParameters(Validated):
     """Parameters of the node: the shape and the limits of the robot, obstacles, and its own."""
 
     description: DescriptionParameters = inline()

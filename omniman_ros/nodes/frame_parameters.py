@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdomFrame:
+class OdomFrame(Validated):
     """Name of the odom frame, and whether `map` is another name of it."""
 
     odom_frame: str = parameter("odom", "Frame of poses and references.", read_only=True)
@@ -28,7 +29,7 @@ class OdomFrame:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TransformOptions:
+class TransformOptions(Validated):
     """Use of the transforms on /tf and /tf_static."""
 
     wait: float = parameter(
@@ -50,7 +51,7 @@ class TransformOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameParameters:
+class FrameParameters(Validated):
     """The odom frame, and the use of transforms into it."""
 
     odom: OdomFrame = inline()

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointStatesMergerParameters:
+class JointStatesMergerParameters(Validated):
     """Parameters of the node: those of the URDF, its rate and its timeout."""
 
     description: DescriptionParameters = inline()

@@ -6,6 +6,7 @@ from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.rigid import UPSIDE_DOWN, Transform
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.perception.no_return import NO_RETURN, REP_117
@@ -22,7 +23,7 @@ LASER, CLOUD = "laser", "cloud"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScannerInput:
+class ScannerInput(Validated):
     """Topic and mounting of a scanner."""
 
     topic: str = parameter("scan", "Topic of its scans or clouds.", read_only=True)
@@ -61,7 +62,7 @@ class ScannerInput:
 
 
 @dataclass(frozen=True)
-class CloudSlice:
+class CloudSlice(Validated):
     """Part of a cloud that counts."""
 
     low: float = parameter(
@@ -75,12 +76,13 @@ class CloudSlice:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.low < self.high:
-            raise ParameterError("cloud.high", self.high, f"must be above low, {self.low:g} m")
+            raise self._refusal("high", f"must be above low, {self.low:g} m")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObstacleTrackerParameters:
+class ObstacleTrackerParameters(Validated):
     """Parameters of the node: the robot's shape, its scanners, tracks, map, and frames."""
 
     description: DescriptionParameters = inline()
@@ -113,6 +115,7 @@ class ObstacleTrackerParameters:
     frames: FrameParameters = inline()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         topics = tuple(scanner.topic for scanner in self.scanners)
         if len(set(topics)) < len(topics):
             raise ParameterError("scanners.topic", topics, "two scanners have the same topic")

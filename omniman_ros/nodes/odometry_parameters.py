@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 from omniman_ros.control.wheel_odometry import WheelOdometryParameters
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.nodes.frame_parameters import OdomFrame
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryTopicParameters:
+class OdometryTopicParameters(Validated):
     """Rates, frames and variances of the odometry's topics."""
 
     odom_rate: float = parameter(
@@ -45,7 +46,7 @@ class OdometryTopicParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryNodeParameters:
+class OdometryNodeParameters(Validated):
     """Parameters of the node: those of its core and of its topics."""
 
     core: WheelOdometryParameters = inline()

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlatformControllerParameters:
+class PlatformControllerParameters(Validated):
     """Parameters of the node: those of its core, of the odometry's topics, and of its own."""
 
     platform: PlatformParameters = inline()

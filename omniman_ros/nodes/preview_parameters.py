@@ -2,12 +2,12 @@
 
 from dataclasses import dataclass
 
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class RestartParameters:
+class RestartParameters(Validated):
     """When a stream of references begins anew after it has lost control."""
 
     restart: float = parameter(
@@ -46,7 +46,6 @@ class PeriodicPreviewParameters(PreviewParameters):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if 2.0 * self.period > self.horizon:
-            raise ParameterError(
-                "period", self.period, f"must be <= half the horizon {self.horizon:g} s"
-            )
+            raise self._refusal("period", f"must be <= half the horizon {self.horizon:g} s")

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
@@ -70,6 +69,7 @@ class SimulatedDriveParameters(ClockParameters):
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.publish_clock and self.state_rate < SLOWEST_CLOCK:
             reason = f"must be at least {SLOWEST_CLOCK:g} Hz with publish_clock"
-            raise ParameterError("state_rate", self.state_rate, reason)
+            raise self._refusal("state_rate", reason)

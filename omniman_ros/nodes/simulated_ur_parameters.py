@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.ur.arm import JOINTS, UrArmParameters
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArmNames:
+class ArmNames(Validated):
     """Names of the joints, under the parameter name that all nodes of the arm use."""
 
     joints: tuple[str, ...] = parameter(
@@ -19,12 +19,13 @@ class ArmNames:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.joints) != JOINTS or len(set(self.joints)) != JOINTS or not all(self.joints):
-            raise ParameterError("arm.joints", self.joints, f"must be {JOINTS} different names")
+            raise self._refusal("joints", f"must be {JOINTS} different names")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PendantParameters:
+class PendantParameters(Validated):
     """Settings of the teach pendant."""
 
     speed_slider: float = parameter(
@@ -33,7 +34,7 @@ class PendantParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulatedUrParameters:
+class SimulatedUrParameters(Validated):
     """Parameters of the node: ports, arm, pendant and faults."""
 
     arm: ArmNames

@@ -46,7 +46,7 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
         _ = self.description
         if self.arm_port and self.publish_clock and self.state_rate < CONTROLLER_RATE:
             reason = f"must be at least {CONTROLLER_RATE:g} Hz with publish_clock and arm_port"
-            raise ParameterError("state_rate", self.state_rate, reason)
+            raise self._refusal("state_rate", reason)
         names = tuple(scanner.name for scanner in self.scanners)
         if len(set(names)) < len(names):
             raise ParameterError("scanners.name", names, "two scanners have the same name")

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True)
-class MapReading:
+class MapReading(Validated):
     """How all nodes read the cells of a map, so that none moves where another one stops.
 
     By default a map tells where something stands, and nothing else: like what lies outside of it,
@@ -35,7 +36,7 @@ class MapReading:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SurroundingsParameters:
+class SurroundingsParameters(Validated):
     """Tracking of obstacles, and how maps are read."""
 
     obstacles: ObstacleParameters

@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from omniman_ros.collision.parameters import PersonShape
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class MapParameters:
+class MapParameters(Validated):
     """Extent of the rolling map."""
 
     size: float = parameter(
@@ -26,7 +27,7 @@ class MapParameters:
 
 
 @dataclass(frozen=True, kw_only=True)
-class UnseenParameters:
+class UnseenParameters(Validated):
     """People who are not seen."""
 
     speed: float = parameter(
@@ -41,7 +42,7 @@ class UnseenParameters:
 
 
 @dataclass(frozen=True)
-class TrackerParameters:
+class TrackerParameters(Validated):
     """What counts as one thing, as moving, and as the same thing as before."""
 
     range: float = parameter(

@@ -6,6 +6,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.perception.no_return import NAN, ZERO
 from omniman_ros.perception.scan import Scan
 
@@ -15,7 +16,7 @@ LEAST_HITS = 10  #: Number of beams that must meet something for a scan to be re
 
 
 @dataclass(frozen=True)
-class ScanCheckParameters:
+class ScanCheckParameters(Validated):
     """What a scan must have to be used."""
 
     most_blind: float = parameter(

@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Self
+from typing import Annotated, Self
 
 from omniman_ros.core import plausible, se2
-from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.motion import HermiteTrajectory
 
 AT_REST = 0.02  #: Speed below which the robot, or an obstacle, counts as standing [m/s, rad/s]
@@ -24,7 +24,7 @@ class PlannerState(Enum):
 
 
 @dataclass(frozen=True)
-class MeasuredState:
+class MeasuredState(Validated):
     """State of the robot according to odometry.
 
     Raises:
@@ -32,15 +32,11 @@ class MeasuredState:
     """
 
     time: float  #: Time of the measurement [s]
-    pose: Array  #: (3,) pose of base_link in odom [m, m, rad]
-    twist: Array  #: (3,) twist in base_link [m/s, m/s, rad/s]
+    pose: Annotated[Array, Shape(3)]  #: (3,) pose of base_link in odom [m, m, rad]
+    twist: Annotated[Array, Shape(3)]  #: (3,) twist in base_link [m/s, m/s, rad/s]
 
     def __post_init__(self) -> None:
-        if self.pose.shape != (3,) or self.twist.shape != (3,):
-            raise InputError(
-                f"pose and twist of a measured state have shapes {self.pose.shape} and "
-                f"{self.twist.shape}, expected (3,)"
-            )
+        super().__post_init__()
         plausible.demand(self.pose[:2], plausible.LENGTH, "position")
         plausible.demand(self.pose[2:], plausible.ANGLE, "heading")
         plausible.demand(self.twist, plausible.SPEED, "twist")

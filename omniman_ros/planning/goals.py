@@ -2,15 +2,15 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
 from omniman_ros.core import plausible, round_off, se2
-from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.rigid import PlanarPose
+from omniman_ros.core.validated import Validated
 
 
 class PlanTarget(Protocol):
@@ -42,27 +42,24 @@ class Goal(PlanTarget, Protocol):
         """Return a goal that is given in a frame, by the pose of that frame [m, m, rad]."""
 
 
-def _pose(pose: Array) -> Array:
-    """Return a copy of a pose (3,) after a check of its shape and values."""
-    if pose.shape != (3,):
-        raise InputError(f"goal: the pose has {pose.size} numbers, expected 3")
+def _require_pose(pose: Array) -> None:
     plausible.demand(pose[:2], plausible.LENGTH, "goal: position")
     plausible.demand(pose[2:], plausible.ANGLE, "goal: heading")
-    return np.array(pose)
 
 
 @dataclass(frozen=True)
-class PoseGoal:
+class PoseGoal(Validated):
     """Pose at which the robot comes to rest.
 
     Raises:
         InputError: The pose is not finite or implausibly large.
     """
 
-    pose: Array  #: (3,) pose in odom [m, m, rad]
+    pose: Annotated[Array, Shape(3)]  #: (3,) pose in odom [m, m, rad]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pose", _pose(self.pose))
+        super().__post_init__()
+        _require_pose(self.pose)
 
     def targets(self, times: Array) -> tuple[Array, Array]:
         """See `Goal`."""
@@ -125,22 +122,21 @@ class TrajectoryGoal:
 
 
 @dataclass(frozen=True)
-class StateGoal:
+class StateGoal(Validated):
     """Pose to pass at a velocity, at a time that the robot chooses.
 
     Raises:
         InputError: A value is not finite or implausibly large.
     """
 
-    pose: Array  #: (3,) pose in odom [m, m, rad]
-    velocity: Array  #: (3,) velocity in odom [m/s, m/s, rad/s]
+    pose: Annotated[Array, Shape(3)]  #: (3,) pose in odom [m, m, rad]
+    velocity: Annotated[Array, Shape(3)]  #: (3,) velocity in odom [m/s, m/s, rad/s]
     #: Time at which the pose is passed [s]; None until the robot is near enough
     arrival: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "pose", _pose(self.pose))
-        if self.velocity.shape != (3,):
-            raise InputError(f"goal: the velocity has {self.velocity.size} numbers, expected 3")
+        super().__post_init__()
+        _require_pose(self.pose)
         plausible.demand(self.velocity, plausible.SPEED, "goal: velocity")
 
     def arriving(self, time: float) -> "StateGoal":

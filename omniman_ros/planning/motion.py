@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 BRAKING_STEP = 0.05  #: Time between two nodes while the robot brakes [s]
 REST_STEP = 0.1  #: Time between two samples of a robot at rest [s]
@@ -13,13 +15,20 @@ MIN_SPAN = 1e-6  #: Time between two nodes below which they count as the same [s
 
 
 @dataclass(frozen=True)
-class HermiteTrajectory:
-    """Nodes in time, joined by cubic Hermite polynomials; the robot rests outside of them."""
+class HermiteTrajectory(Validated):
+    """Nodes in time, joined by cubic Hermite polynomials; the robot rests outside of them.
 
-    times: Array  #: (K,) increasing times [s]
-    poses: Array  #: (K, 3) poses of base_link in odom, headings not wrapped [m, m, rad]
-    velocities: Array  #: (K, 3) velocities in odom [m/s, m/s, rad/s]
-    currents: Array  #: (K - 1, n) motor currents from each node on [A]; NaN where none are planned
+    Poses that are not finite are let in: the check of a motion counts them as a contact.
+    """
+
+    times: Annotated[Array, Shape("K", unit="s", increasing=True)]  #: (K,) increasing times [s]
+    #: (K, d) poses of base_link in odom (d = 3), headings not wrapped [m, m, rad]
+    poses: Annotated[Array, Shape("K", "d", finite=False)]
+    velocities: Annotated[
+        Array, Shape("K", "d", finite=False)
+    ]  #: (K, 3) velocities in odom [m/s, m/s, rad/s]
+    #: (K - 1, n) motor currents from each node on [A]; NaN where none are planned
+    currents: Annotated[Array, Shape("K - 1", "n", finite=False)]
 
     @staticmethod
     def of_states(
@@ -38,7 +47,12 @@ class HermiteTrajectory:
                 states[:, 5],
             ]
         )
-        return HermiteTrajectory(times, states[:, :3], velocities, currents)
+        return HermiteTrajectory.unchecked(
+            times=times,
+            poses=states[:, :3].copy(),
+            velocities=velocities,
+            currents=currents.copy(),
+        )
 
     @staticmethod
     def rest(time: float, pose: Array, controls: int) -> "HermiteTrajectory":
@@ -50,8 +64,11 @@ class HermiteTrajectory:
         """Return a motion of one BRAKING_STEP at a velocity (3,) in odom, with n = `controls`."""
         nodes = np.array([time, time + BRAKING_STEP])
         poses = np.array([pose, pose + BRAKING_STEP * velocity])
-        return HermiteTrajectory(
-            nodes, poses, np.tile(velocity, (2, 1)), np.full((1, controls), np.nan)
+        return HermiteTrajectory.unchecked(
+            times=nodes,
+            poses=poses,
+            velocities=np.tile(velocity, (2, 1)),
+            currents=np.full((1, controls), np.nan),
         )
 
     @property
@@ -105,15 +122,17 @@ class HermiteTrajectory:
         known = (index >= 0) & (index < len(self.currents))
         currents = np.full((len(index), self.currents.shape[1]), np.nan)
         currents[known] = self.currents[index[known]]
-        return HermiteTrajectory(times, poses, velocities, currents)
+        return HermiteTrajectory.unchecked(
+            times=times, poses=poses, velocities=velocities, currents=currents
+        )
 
     def then(self, other: "HermiteTrajectory") -> "HermiteTrajectory":
         """Return this motion followed by another one that begins at its end."""
-        return HermiteTrajectory(
-            np.concatenate([self.times[:-1], other.times]),
-            np.concatenate([self.poses[:-1], other.poses]),
-            np.concatenate([self.velocities[:-1], other.velocities]),
-            np.concatenate([self.currents, other.currents]),
+        return HermiteTrajectory.unchecked(
+            times=np.concatenate([self.times[:-1], other.times]),
+            poses=np.concatenate([self.poses[:-1], other.poses]),
+            velocities=np.concatenate([self.velocities[:-1], other.velocities]),
+            currents=np.concatenate([self.currents, other.currents]),
         )
 
     def braked(self, time: float, deceleration: tuple[float, float]) -> "HermiteTrajectory":
@@ -136,7 +155,9 @@ class HermiteTrajectory:
             poses = pose + velocity * (elapsed - 0.5 * elapsed * elapsed / spans)
             velocities = velocity * (1.0 - elapsed / spans)
             unknown = np.full((len(t) - 1, self.currents.shape[1]), np.nan)
-            tail = HermiteTrajectory(time + t, poses, velocities, unknown)
+            tail = HermiteTrajectory.unchecked(
+                times=time + t, poses=poses, velocities=velocities, currents=unknown
+            )
         if time <= self.start + MIN_SPAN:
             return tail
         return self.between(self.start, time).then(tail)

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 
 from omniman_ros.control.limits import TwistLimits
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True)
-class Horizon:
+class Horizon(Validated):
     """Length and resolution of the planning horizon."""
 
     steps: int = parameter(20, "Steps N of the horizon.", low=2, high=100, read_only=True)
@@ -37,7 +37,7 @@ class Horizon:
 
 
 @dataclass(frozen=True)
-class Weights:
+class Weights(Validated):
     """Weights of the cost, MPC 2021 (25) and (31); energy counts in J."""
 
     position: float = parameter(
@@ -82,7 +82,7 @@ class Weights:
 
 
 @dataclass(frozen=True)
-class Workspace:
+class Workspace(Validated):
     """Region of odom in which the whole bounding box must stay, MPC 2021 (29), (30)."""
 
     x_min: float = parameter(-1e3, "Least x.", unit="m", low=-1e5, high=1e5)
@@ -91,10 +91,11 @@ class Workspace:
     y_max: float = parameter(1e3, "Largest y.", unit="m", low=-1e5, high=1e5)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.x_max <= self.x_min:
-            raise ParameterError("workspace.x_max", self.x_max, "must be above workspace.x_min")
+            raise self._refusal("x_max", "must be above workspace.x_min")
         if self.y_max <= self.y_min:
-            raise ParameterError("workspace.y_max", self.y_max, "must be above workspace.y_min")
+            raise self._refusal("y_max", "must be above workspace.y_min")
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -103,7 +104,7 @@ class Workspace:
 
 
 @dataclass(frozen=True)
-class Safety:
+class Safety(Validated):
     """Clearances, and the deadline of plans."""
 
     clearance: float = parameter(
@@ -143,16 +144,16 @@ class Safety:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.least_clearance > self.clearance:
-            raise ParameterError(
-                "safety.least_clearance",
-                self.least_clearance,
+            raise self._refusal(
+                "least_clearance",
                 "must not be above safety.clearance",
             )
 
 
 @dataclass(frozen=True)
-class Arrival:
+class Arrival(Validated):
     """Tolerances within which a goal is reached."""
 
     position: float = parameter(
@@ -164,7 +165,7 @@ class Arrival:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlannerParameters:
+class PlannerParameters(Validated):
     """All parameters of the planner, including those of the robot."""
 
     robot: Platform = inline()

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PlanTarget
 from omniman_ros.planning.motion import HermiteTrajectory
@@ -48,10 +50,11 @@ class SolverPool:
 
 
 @dataclass(frozen=True)
-class PlanRequest:
+class PlanRequest(Validated):
     """One planning problem."""
 
-    start: Array  #: (6,) state at which the plan begins: pose in odom, body twist
+    #: (6,) state at which the plan begins: pose in odom, body twist
+    start: Annotated[Array, Shape(6)]
     due: float  #: Time at which the plan begins [s]
     goal: PlanTarget
     footprint: Footprint  #: Outline of the robot

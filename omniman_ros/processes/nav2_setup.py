@@ -10,6 +10,7 @@ from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import build, inline, specs
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nav2.configuration import Nav2Configuration
 from omniman_ros.nodes.planner_interfaces.parameters import FootprintOptions
@@ -19,7 +20,7 @@ from omniman_ros.yaml_files import read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Robot:
+class _Robot(Validated):
     """What a robot's file says of what Nav2 needs to know."""
 
     description: DescriptionParameters = inline()

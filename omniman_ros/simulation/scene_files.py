@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from omniman_ros.core.errors import FileError, ParameterError
-from omniman_ros.core.parameters import specs
+from omniman_ros.core.parameters import renamed, specs
 from omniman_ros.share import share_path
 from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
 from omniman_ros.simulation.world.scene import (
@@ -116,4 +116,5 @@ def _element(cls: type[E], entry: object, source: str) -> E:
     required = {spec.name for spec in specs(cls) if spec.required}
     if missing := required - set(entry):
         raise ParameterError(source, entry, f"must have {', '.join(sorted(missing))}")
-    return cls(**dict(entry))
+    with renamed(cls, f"{entry['name']}."):
+        return cls(**dict(entry))

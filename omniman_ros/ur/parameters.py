@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 PERIOD = 0.008  #: Cycle time of a CB3 controller, CCTA 2017 V.A [s]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrParameters:
+class UrParameters(Validated):
     """Address of the controller, servo parameters of its program, and timeouts."""
 
     host: str = parameter(

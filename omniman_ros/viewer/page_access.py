@@ -7,6 +7,7 @@ from ipaddress import ip_address
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 #: Characters and lengths that a token may have: those that an address can contain as they are
 TOKEN = re.compile(r"[A-Za-z0-9_-]{8,200}")
@@ -23,7 +24,7 @@ def is_loopback(host: str) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PageAccess:
+class PageAccess(Validated):
     """Address of the page, its token, and the files that encrypt it."""
 
     host: str = parameter(
@@ -55,6 +56,7 @@ class PageAccess:
         Raises:
             ParameterError: The token cannot be part of an address, or one of the files is missing.
         """
+        super().__post_init__()
         if self.token and not TOKEN.fullmatch(self.token):
             raise ParameterError("token", "...", f"must match {TOKEN.pattern}")
         if bool(self.tls_certificate) != bool(self.tls_key):

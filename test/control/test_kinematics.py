@@ -247,10 +247,17 @@ def test_error_names_a_wheel_that_adds_no_direction():
 
 def test_rank_check_does_not_depend_on_the_platform_size():
     wheels = robot("omniman").wheels
-    for size in (0.02, 1, 25):
+    for size in (0.04, 1, 15):
         lengths = {key: size * np.array(getattr(wheels, key)) for key in ("x", "y", "radius")}
         grown = changed(wheels, **{key: array.tolist() for key, array in lengths.items()})
         assert PlatformKinematics(grown).base_wheels == kinematics("omniman").base_wheels
+
+
+@pytest.mark.parametrize("count", [3, 4, 7])
+def test_omni_wheels_all_turn_alike_in_a_rotation_and_the_first_one_to_the_left(count):
+    made = PlatformKinematics(Wheels.omni(count=count, distance=0.2, radius=0.05, inertia=0.01))
+    assert made.J[:, 2] == pytest.approx(np.full(count, 0.2 / 0.05))
+    assert made.J[0, :2] == pytest.approx([0.0, 1.0 / 0.05], abs=1e-12)
 
 
 # ---- without some wheels ----------------------------------------------------------------------

@@ -43,13 +43,13 @@ def test_a_map_does_not_change_with_the_callers_arrays():
     ("changes", "named"),
     [
         ({"values": np.zeros((0, 3), np.int8)}, r"shape \(0, 3\)"),
-        ({"values": np.zeros(6, np.int8)}, r"shape \(6,\)"),
+        ({"values": np.zeros(6, np.int8)}, r"shape = \(6,\)"),
         ({"values": np.broadcast_to(np.int8(0), (5001, 5000))}, f"1 to {MAX_CELLS}"),
         ({"resolution": 0.0}, "resolution is 0.0 m"),
-        ({"resolution": math.nan}, "resolution is nan m"),
+        ({"resolution": math.nan}, "resolution = nan"),
         ({"resolution": 1e6}, "map: size"),
-        ({"origin": np.zeros(2)}, r"origin has shape \(2,\)"),
-        ({"origin": np.array([0.0, math.inf, 0.0])}, "map: origin"),
+        ({"origin": np.zeros(2)}, r"origin\.shape = \(2,\)"),
+        ({"origin": np.array([0.0, math.inf, 0.0])}, r"origin\[1\] = inf"),
     ],
 )
 def test_an_invalid_map_is_refused_with_its_value(changes, named):

@@ -14,17 +14,18 @@ from omniman_ros.core.parameters import (
     parameter,
     specs,
 )
+from omniman_ros.core.validated import Validated
 from test.robots import ALL, parameters, robot
 
 
 @dataclass(frozen=True)
-class Inner:
+class Inner(Validated):
     gain: float = parameter(2.0, "A gain.", unit="1/s", low=0, high=10)
     mode: str = parameter("slow", "A word.", choices=("slow", "fast"))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outer:
+class Outer(Validated):
     first: Inner
     second: Inner = inline()
     count: int = parameter(REQUIRED, "A count.", low=1, high=8, read_only=True)

@@ -1,3 +1,4 @@
+import math
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -5,7 +6,7 @@ import pytest
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import flatten
-from omniman_ros.core.platform import Platform
+from omniman_ros.core.platform import Platform, Wheels
 from test.robots import ALL, random_robot, robot
 
 COUNTS = {"omniman": 4, "ig42": 4, "omni3": 3, "mecanum6": 6, "skewed4": 4, "mecanum8": 8}
@@ -55,7 +56,7 @@ def test_errors_contain_name_and_value():
     made = robot()
     with pytest.raises(ParameterError, match="3 values, 4 wheels") as caught:
         replace(made, wheels=replace(made.wheels, x=(0.1, 0.2, 0.3)))
-    assert (caught.value.name, caught.value.value) == ("wheels.x", (0.1, 0.2, 0.3))
+    assert (caught.value.name, caught.value.value) == ("Wheels.x", (0.1, 0.2, 0.3))
 
 
 @pytest.mark.parametrize(
@@ -82,6 +83,43 @@ def test_the_corners_of_an_outline_are_counter_clockwise_in_either_order():
     np.testing.assert_array_equal(one, np.column_stack((x, y)))
     np.testing.assert_array_equal(other, one)
     assert robot().body.outline is None
+
+
+def test_one_value_holds_for_all_wheels():
+    made = Wheels(
+        names=["a", "b", "c"],
+        x=(1, 0, -1),
+        y=(0, 1, 0),
+        roller_angle=[0],
+        radius=[0.1],
+        inertia=np.array([0.01]),
+    )
+    assert (made.radius, made.inertia) == ((0.1,) * 3, (0.01,) * 3)
+    assert made.heading == made.roller_angle == (0.0,) * 3
+
+
+def test_mecanum_wheels_are_those_of_the_platform_of_the_paper():
+    made = Wheels.mecanum(wheelbase=0.72, track=0.54, radius=0.127, inertia=0.08)
+    known = robot("omniman").wheels
+    assert made.names == known.names
+    for name in ("x", "y", "heading", "roller_angle", "radius", "inertia"):
+        assert getattr(made, name) == pytest.approx(getattr(known, name)), name
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"count": 2}, "Wheels.count"),
+        ({"count": 3.0}, "Wheels.count"),
+        ({"distance": -0.2}, "Wheels.distance"),
+        ({"radius": math.nan}, "Wheels.radius"),
+        ({"inertia": "much"}, "Wheels.inertia"),
+    ],
+)
+def test_an_impossible_layout_is_refused(change, name):
+    with pytest.raises(ParameterError) as caught:
+        Wheels.omni(**{"count": 3, "distance": 0.2, "radius": 0.06, "inertia": 0.004, **change})
+    assert caught.value.name == name
 
 
 def test_the_outline_or_the_bounding_box_is_placed_at_a_pose():

@@ -94,13 +94,13 @@ def test_a_trajectory_under_way_is_on_the_branch_nearest_to_the_robot_now():
 def test_invalid_poses_are_refused(bad, index):
     pose = np.zeros(3)
     pose[index] = bad
-    with pytest.raises(InputError, match=r"goal: (position|heading)"):
+    with pytest.raises(InputError, match=r"goal: (position|heading)|pose\["):
         PoseGoal(pose)
-    with pytest.raises(InputError, match=r"goal: (position|heading)"):
+    with pytest.raises(InputError, match=r"goal: (position|heading)|pose\["):
         StateGoal(pose, np.zeros(3))
     velocity = np.zeros(3)
     velocity[index] = bad
-    with pytest.raises(InputError, match="goal: velocity"):
+    with pytest.raises(InputError, match=r"goal: velocity|velocity\["):
         StateGoal(np.zeros(3), velocity)
 
 
@@ -110,9 +110,9 @@ def test_a_goal_whose_velocity_is_round_off_is_one_to_rest_at(speed, kind):
 
 
 def test_wrong_sizes_are_refused():
-    with pytest.raises(InputError, match="pose has 2 numbers"):
+    with pytest.raises(InputError, match=r"pose\.shape = \(2,\)"):
         PoseGoal(np.zeros(2))
-    with pytest.raises(InputError, match="velocity has 4 numbers"):
+    with pytest.raises(InputError, match=r"velocity\.shape = \(4,\)"):
         StateGoal(np.zeros(3), np.zeros(4))
 
 

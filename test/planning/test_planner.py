@@ -219,7 +219,7 @@ def test_measured_state_that_is_not_finite_is_refused(bad):
             MeasuredState(0.0, wrong, np.zeros(3))
         with pytest.raises(InputError):
             MeasuredState(0.0, np.zeros(3), wrong)
-    with pytest.raises(InputError, match=r"shapes \(2,\) and \(3,\)"):
+    with pytest.raises(InputError, match=r"shape = \(2,\) is refused: expected \(3,\)"):
         MeasuredState(0.0, np.zeros(2), np.zeros(3))
 
 

@@ -78,7 +78,7 @@ def test_a_file_that_is_no_yaml_is_refused(tmp_path, content):
         ({"posts": [{"name": "post", "x": [1], "y": 2}]}, "float"),
         ({"persons": [{"name": "anna", "x": 1, "y": 2}]}, "array"),
         ({"start": 1}, "heading"),
-        ({"start": [1, 2, "x"]}, "finite"),
+        ({"start": [1, 2, "x"]}, "expected float, got str"),
         ({"posts": [{"name": "a", "x": 1, "y": 2}, {"name": "a", "x": 2, "y": 2}]}, "two"),
     ],
 )

@@ -1,13 +1,14 @@
 """Limits of single axes, and checks that a motion keeps them."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.time_profile import SpeedCap
 from omniman_ros.motion.path.timed_curve import TimedCurve
@@ -18,7 +19,7 @@ QUANTITIES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s^2"), ("
 
 
 @dataclass(frozen=True)
-class AxisLimits:
+class AxisLimits(Validated):
     """Names and limits of d axes; the limits are read-only arrays (d,).
 
     Attributes:
@@ -26,27 +27,25 @@ class AxisLimits:
         velocity, acceleration, jerk: Limits of the absolute values [the same per s, s^2, s^3].
 
     Raises:
-        ParameterError: A limit has not one finite number for each axis, or is not positive.
+        InputError: A limit has not one finite number for each axis, or is not above 0.
     """
 
     names: tuple[str, ...]  #: Names of the axes
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
+    lower: Annotated[Array, Shape("d")]
+    upper: Annotated[Array, Shape("d")]
+    velocity: Annotated[Array, Shape("d")]
+    acceleration: Annotated[Array, Shape("d")]
+    jerk: Annotated[Array, Shape("d")]
     units: tuple[str, ...]  #: Units of the positions, for messages
 
     def __post_init__(self) -> None:
-        for label in ("lower", "upper", "velocity", "acceleration", "jerk"):
-            array = np.array(getattr(self, label), dtype=float)
-            if array.shape != (len(self.names),) or not np.isfinite(array).all():
-                reason = f"must have one finite number for each of {self.names}"
-                raise ParameterError(label, array.tolist(), reason)
-            if label not in ("lower", "upper") and not (array > 0.0).all():
-                raise ParameterError(label, array.tolist(), "must be positive")
-            array.flags.writeable = False
-            object.__setattr__(self, label, array)
+        super().__post_init__()
+        if len(self.lower) != len(self.names):
+            raise InputError(f"AxisLimits has {len(self.lower)} limits for the axes {self.names}")
+        for label in ("velocity", "acceleration", "jerk"):
+            if not (getattr(self, label) > 0.0).all():
+                limits = getattr(self, label).tolist()
+                raise InputError(f"AxisLimits.{label} = {limits} is refused: must be above 0")
 
     @classmethod
     def of_arm(cls, arm: ArmParameters) -> Self:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class ArmFollowing:
+class ArmFollowing(Validated):
     """How closely and how promptly the arm must follow a motion."""
 
     start_tolerance: float = parameter(

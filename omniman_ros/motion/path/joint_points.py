@@ -1,12 +1,15 @@
 """Trajectory points of some axes, as in a message, and the planning of motions through them."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omniman_ros.core import plausible, round_off, se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path import spline_derivatives
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
@@ -21,7 +24,7 @@ MAX_START_SPEED_ERROR = 0.05
 
 
 @dataclass(frozen=True)
-class JointPoints:
+class JointPoints(Validated):
     """Points of a trajectory of some axes.
 
     Attributes:
@@ -36,12 +39,13 @@ class JointPoints:
     #: (k,) from the start of the trajectory [s], 0 or later and increasing; None if the points are
     #: to be reached as soon as the limits allow. Of points that repeat each other but for
     #: round-off, the last counts.
-    times: Array | None
-    positions: Array  #: (k, m) [rad or m]
-    velocities: Array | None = None
-    accelerations: Array | None = None
+    times: Annotated[Array | None, Shape("k")]
+    positions: Annotated[Array, Shape("k", "m")]  #: (k, m) [rad or m]
+    velocities: Annotated[Array | None, Shape("k", "m")] = None
+    accelerations: Annotated[Array | None, Shape("k", "m")] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shape = (len(self.positions), len(self.columns))
         if min(shape) == 0 or len(set(self.columns)) != len(self.columns):
             raise InputError(
@@ -53,8 +57,6 @@ class JointPoints:
             ("velocities", self.velocities, plausible.SPEED),
             ("accelerations", self.accelerations, plausible.ACCELERATION),
         ):
-            if array is not None and array.shape != shape:
-                raise InputError(f"{label} have shape {array.shape}, expected {shape}")
             if array is not None:
                 plausible.demand(array, bound, label)
         if self.velocities is None and self.accelerations is not None:
@@ -64,16 +66,19 @@ class JointPoints:
                 raise InputError("velocities without times are not accepted")
             return
         plausible.demand(self.times, MAX_DURATION, "times")
-        if self.times.shape != shape[:1] or self.times[0] < -round_off.SAME_TIME:
-            raise InputError(
-                f"times {self.times[:3].tolist()} must be at or after 0 s, one for each of "
-                f"{shape[0]} points"
-            )
-        times, rows = round_off.distinct(self.times, self.positions)
-        object.__setattr__(self, "times", times)
-        for label in ("positions", "velocities", "accelerations"):
-            array = getattr(self, label)
-            object.__setattr__(self, label, None if array is None else array[rows])
+        if self.times[0] < -round_off.SAME_TIME:
+            raise InputError(f"times {self.times[:3].tolist()} must be at or after 0 s")
+        self._keep(*round_off.distinct(self.times, self.positions))
+
+    def _keep(self, times: Array, rows: NDArray[np.intp]) -> None:
+        """Keep distinct times and the rows that go with them."""
+        kept = {"times": times, "positions": self.positions[rows]}
+        for label in ("velocities", "accelerations"):
+            if getattr(self, label) is not None:
+                kept[label] = getattr(self, label)[rows]
+        for label, values in kept.items():
+            values.setflags(write=False)
+            object.__setattr__(self, label, values)
 
     def unwrapped(self, column: int, angle: float) -> "JointPoints":
         """Shift an axis that turns without end by whole revolutions to the nearest turns.
@@ -91,12 +96,12 @@ class JointPoints:
 
 
 @dataclass(frozen=True)
-class KinematicState:
+class KinematicState(Validated):
     """Position, velocity and acceleration (d,) of all axes at an instant."""
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    position: Annotated[Array, Shape("d")]
+    velocity: Annotated[Array, Shape("d")]
+    acceleration: Annotated[Array, Shape("d")]
 
     @classmethod
     def rest(cls, position: Array) -> "KinematicState":

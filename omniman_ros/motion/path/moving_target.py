@@ -2,12 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.core import round_off
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.joint_points import JointPoints, KinematicState
 from omniman_ros.motion.path.parameters import TICK
@@ -28,12 +30,13 @@ _U = np.linspace(0.0, 1.0, 25)[:, None]
 
 
 @dataclass(frozen=True)
-class MovingTarget:
+class MovingTarget(Validated):
     """Where some axes are to be at a time, and how fast."""
 
     columns: tuple[int, ...]  #: Indices of the axes
-    position: Array  #: (m,) positions [rad or m]
-    velocity: Array  #: (m,) velocities [rad/s or m/s]; zeros where the source gives none
+    position: Annotated[Array, Shape("m")]  #: (m,) positions [rad or m]
+    #: (m,) velocities [rad/s or m/s]; zeros where the source gives none
+    velocity: Annotated[Array, Shape("m")]
     due: float  #: Time from now [s]; negative if it has passed
 
     @classmethod

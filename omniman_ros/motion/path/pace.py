@@ -10,10 +10,12 @@ pace has to fall at once, the acceleration limits alone hold.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.axis_group import AxisGroup
 
 #: Ticks from a decision to the first changed tick, so that the receiver gets the tick in time
@@ -34,13 +36,15 @@ MAX_SETTLING_TIME = 600.0  #: Upper bound of the time in which the pace reaches 
 
 
 @dataclass(frozen=True)
-class LimitUsage:
+class LimitUsage(Validated):
     """Use of the limits by motions at k times, in g groups of axes; arrays (k, g)."""
 
-    speed: Array  #: x' . x' over the square of the acceleration limit [s^2]
-    mixed: Array  #: x' . x'' over the square of the acceleration limit [s]
-    bend: Array  #: x'' . x'' over the square of the acceleration limit
-    jerk: Array  #: `|x'|` over the jerk limit [s^2]
+    #: x' . x' over the square of the acceleration limit [s^2]
+    speed: Annotated[Array, Shape("k", "g")]
+    #: x' . x'' over the square of the acceleration limit [s]
+    mixed: Annotated[Array, Shape("k", "g")]
+    bend: Annotated[Array, Shape("k", "g")]  #: x'' . x'' over the square of the acceleration limit
+    jerk: Annotated[Array, Shape("k", "g")]  #: `|x'|` over the jerk limit [s^2]
 
     @classmethod
     def of(
@@ -67,12 +71,12 @@ class LimitUsage:
 
 
 @dataclass(frozen=True)
-class Paced:
+class Paced(Validated):
     """Motion time at k times."""
 
-    motion: Array  #: (k,) motion time s [s]
-    rate: Array  #: (k,) pace p = ds/dt
-    slope: Array  #: (k,) derivative p' of the pace [1/s]
+    motion: Annotated[Array, Shape("k")]  #: (k,) motion time s [s]
+    rate: Annotated[Array, Shape("k")]  #: (k,) pace p = ds/dt
+    slope: Annotated[Array, Shape("k")]  #: (k,) derivative p' of the pace [1/s]
 
     def apply(
         self, positions: Array, velocities: Array, accelerations: Array

@@ -9,6 +9,7 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.planner import PathPlanner
 
@@ -16,7 +17,7 @@ TICK = 0.008  #: The time base, 125 Hz: the cycle of the UR controller, CCTA 201
 
 
 @dataclass(frozen=True)
-class PlatformSpeeds:
+class PlatformSpeeds(Validated):
     """Speeds of the platform in planned motions, and what these leave of its limits."""
 
     linear_velocity: float = parameter(
@@ -78,7 +79,7 @@ class PathOptions(PlatformSpeeds):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlatformMotionParameters:
+class PlatformMotionParameters(Validated):
     """Robot, limits and speeds of the platform in planned motions."""
 
     robot: Platform = inline()

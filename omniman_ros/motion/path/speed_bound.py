@@ -1,21 +1,24 @@
 """Pace at which a motion keeps to fractions of the limits of speed."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 HEADROOM = 0.95  #: Part of the allowed speed that the motion uses; the rest is left to feedback
 
 
 @dataclass(frozen=True)
-class SpeedBound:
+class SpeedBound(Validated):
     """Limits of speed to which the fractions of a motion limit refer."""
 
     linear: float  #: Linear speed of the platform [m/s]
     angular: float  #: Yaw rate [rad/s]
-    rates: Array  #: Rate (6,) of each joint of the arm [rad/s]
+    #: Rate (6,) of each joint of the arm [rad/s]
+    rates: Annotated[Array, Shape("j", low=0.0, unit="rad/s")]
 
     def pace(self, velocities: Array, platform: float, arm: float) -> float:
         """Return the largest pace, 0 to 1, at which platform and arm keep to their shares.

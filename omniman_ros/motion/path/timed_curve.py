@@ -6,10 +6,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import FLOAT, Array, Shape
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import Place
 
 #: Number of bisections that locate an extreme; the error of its value is of second order
 BISECTIONS = 27
+_TIMES = Shape("n", unit="s", increasing=True).of(Place("TimedCurve.times"), FLOAT)
+_MOTION = tuple(
+    Shape("n", "d").of(Place(f"TimedCurve.{name}"), FLOAT)
+    for name in ("positions", "velocities", "accelerations")
+)
 _POWERS = np.arange(6.0)  #: Exponents of the terms of a quintic polynomial
 
 
@@ -19,13 +26,22 @@ class TimedCurve:
     Args:
         times: (n,) times of the points [s], from 0, strictly increasing, n >= 2.
         positions, velocities, accelerations: (n, d) at the points.
+
+    Raises:
+        InputError: A shape is wrong, a number is not finite, or the times do not increase.
     """
 
     def __init__(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array
     ) -> None:
-        self.times = times
-        self.positions, self.velocities, self.accelerations = positions, velocities, accelerations
+        sizes: dict[str, int] = {}
+        self.times: Array = _TIMES.check(times, sizes)
+        if len(self.times) < 2:
+            raise InputError(f"TimedCurve.times has {len(self.times)} points, expected 2 or more")
+        self.positions, self.velocities, self.accelerations = (
+            shape.check(values, sizes)
+            for shape, values in zip(_MOTION, (positions, velocities, accelerations), strict=True)
+        )
 
     @property
     def duration(self) -> float:

@@ -2,23 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.smoothing import Smoother
 
 
 @dataclass(frozen=True)
-class Ticks:
+class Ticks(Validated):
     """Positions at ticks before the smoothing, and their places on the route."""
 
-    positions: Array  #: (k, d) positions q(u)
-    section: NDArray[np.intp]  #: (k,) index of the route's section
-    u: Array  #: (k,) parameter of the section's curve [s]
-    rate: Array  #: (k,) rate u'
-    progress: Array  #: (k,) completed fraction of the route, 0 to 1
+    positions: Annotated[Array, Shape("k", "d")]  #: (k, d) positions q(u)
+    section: Annotated[NDArray[np.intp], Shape("k")]  #: (k,) index of the route's section
+    u: Annotated[Array, Shape("k")]  #: (k,) parameter of the section's curve [s]
+    rate: Annotated[Array, Shape("k")]  #: (k,) rate u'
+    progress: Annotated[Array, Shape("k")]  #: (k,) completed fraction of the route, 0 to 1
 
     def __len__(self) -> int:
         return len(self.u)

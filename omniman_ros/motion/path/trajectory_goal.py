@@ -8,13 +8,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Protocol, Self
+from typing import Annotated, Protocol, Self
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.parameters import parameter
+from omniman_ros.core.parameters import Range, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.axes import PLATFORM_AXES
 
 NO_BOUND = -1.0  #: Value of a tolerance that means no bound; 0 means the default
@@ -53,7 +54,7 @@ class GoalResult:
 
 
 @dataclass(frozen=True)
-class TrajectoryActionOptions:
+class TrajectoryActionOptions(Validated):
     """Default tolerances, for goals without their own."""
 
     path_tolerance: float = parameter(
@@ -108,30 +109,24 @@ class JointTolerance(Protocol):
 
 
 @dataclass(frozen=True)
-class GoalTolerances:
+class GoalTolerances(Validated):
     """Largest errors of each axis; infinity means no bound.
 
     Raises:
         InputError: Shapes do not match, or a value is negative or NaN.
     """
 
-    path: Array  #: (2, n) errors of position [m, rad] and velocity [m/s, rad/s] during the motion
-    goal: Array  #: (2, n) the same at the end, where the velocity should be zero
-    time: float  #: Time after the trajectory's end within which the goal must be reached [s]
+    #: (2, n) errors of position [m, rad] and velocity [m/s, rad/s] during the motion
+    path: Annotated[Array, Shape(2, "n", low=0.0, finite=False)]
+    #: (2, n) the same at the end, where the velocity should be zero
+    goal: Annotated[Array, Shape(2, "n", low=0.0, finite=False)]
+    #: Time after the trajectory's end within which the goal must be reached [s]
+    time: Annotated[float, Range(low=0.0, unit="s", finite=False)]
 
     def __post_init__(self) -> None:
-        path, goal = (np.array(a, dtype=float) for a in (self.path, self.goal))
-        if path.ndim != 2 or len(path) != 2 or path.shape != goal.shape:
-            raise InputError(
-                f"tolerances have shapes {path.shape} and {goal.shape}, expected (2, n) twice"
-            )
-        if not ((path >= 0.0).all() and (goal >= 0.0).all() and self.time >= 0.0):
-            raise InputError(
-                f"tolerances {path.tolist()}, {goal.tolist()}, {self.time} s must not be negative"
-            )
-        for name, array in (("path", path), ("goal", goal)):
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        super().__post_init__()
+        if np.isnan(self.path).any() or np.isnan(self.goal).any() or math.isnan(self.time):
+            raise InputError("a tolerance is not a number")
 
     @classmethod
     def of_goal(

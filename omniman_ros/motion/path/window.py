@@ -2,19 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.pace import Pace
 
 
 @dataclass(frozen=True)
-class Window:
+class Window(Validated):
     """A stretch of a stream of d axes: the motion (k, d) at its times, in SI units."""
 
-    times: Array  #: Times (k,) [s]
-    positions: Array
-    velocities: Array
-    accelerations: Array
+    times: Annotated[Array, Shape("k")]  #: Times (k,) [s]
+    positions: Annotated[Array, Shape("k", "d")]
+    velocities: Annotated[Array, Shape("k", "d")]
+    accelerations: Annotated[Array, Shape("k", "d")]
 
     def columns(self, columns: slice) -> "Window":
         """Return the same stretch for some of the axes."""

@@ -9,15 +9,17 @@ stops and a station that is moved are one case.
 import math
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.limits import TwistLimiter, saturation
 from omniman_ros.core import se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.planar import Triple
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.pace import LEAD
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window
@@ -38,12 +40,12 @@ class StationState(Enum):
 
 
 @dataclass(frozen=True)
-class Leader:
+class Leader(Validated):
     """The leader at the time of a measurement; its twist is taken to be constant from then on."""
 
     time: float  #: Time of the measurement [s]
     pose: Triple  #: Pose of its base_link in odom of the follower [m, m, rad]
-    twist: Array  #: Twist (3,) in its base_link [m/s, m/s, rad/s]
+    twist: Annotated[Array, Shape(3)]  #: Twist (3,) in its base_link [m/s, m/s, rad/s]
 
     def predicted_pose(self, time: float) -> Triple:
         """Return the pose at a time [s], in odom of the follower [m, m, rad]."""

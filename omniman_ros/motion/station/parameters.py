@@ -7,10 +7,11 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.planar import Triple
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class StationOptions:
+class StationOptions(Validated):
     """Options of meeting and keeping a station."""
 
     linear_velocity: float = parameter(
@@ -49,7 +50,7 @@ class StationOptions:
 
 
 @dataclass(frozen=True)
-class LeaderOptions:
+class LeaderOptions(Validated):
     """The leader: where its odom is, and what counts as a failure of its odometry."""
 
     odom_x: float = parameter(
@@ -94,7 +95,7 @@ class LeaderOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationParameters:
+class StationParameters(Validated):
     """Robot, limits and options of station keeping."""
 
     robot: Platform = inline()

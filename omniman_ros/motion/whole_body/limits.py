@@ -1,14 +1,15 @@
 """Limits of the nine axes, of the platform's velocity vectors, and of its wheels."""
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from omniman_ros.core import plausible
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import Range
 from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.axis_limits import ROUND_OFF, AxisLimits
@@ -25,10 +26,11 @@ class WholeBodyLimits(AxisLimits):
     """
 
     #: (n, 3) matrix from a twist in base_link to wheel speeds [rad/s]
-    wheels: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    wheel_speed: float = np.inf  #: Limit of the wheel speeds [rad/s]
+    wheels: Annotated[Array, Shape("n", 3)] = field(default_factory=lambda: np.zeros((0, 3)))
+    #: Limit of the wheel speeds [rad/s]
+    wheel_speed: Annotated[float, Range(low=0.0, unit="rad/s", finite=False)] = np.inf
     #: Linear and angular speed limits where times are computed [m/s, rad/s]
-    path_speeds: tuple[float, float] = (np.inf, np.inf)
+    path_speeds: Annotated[tuple[float, float], Range(low=0.0, finite=False)] = (np.inf, np.inf)
 
     @classmethod
     def of_whole_body(cls, path: PlatformMotionParameters, arm: ArmParameters) -> Self:

@@ -13,13 +13,14 @@ import numpy as np
 from omniman_ros.core.arm_model import ArmModel
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.axes import AXES
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  #: Pose of the base of the DH table in `arm_base_link`
 
 
 @dataclass(frozen=True)
-class Mount:
+class Mount(Validated):
     """Pose of `arm_base_link` in base_link, with a vertical axis."""
 
     x: float = parameter(

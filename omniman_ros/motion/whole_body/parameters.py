@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class ToolPathOptions:
+class ToolPathOptions(Validated):
     """Options of tool paths and of their correction."""
 
     linear_velocity: float = parameter(

@@ -8,12 +8,14 @@ moves no more than necessary: Gauss-Newton on a block-tridiagonal system.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
@@ -43,12 +45,14 @@ SINGULARITIES = ("elbow", "wrist", "shoulder")  #: Names of the arm's singularit
 
 
 @dataclass(frozen=True)
-class RobotConfigurations:
+class RobotConfigurations(Validated):
     """Platform and arm at the nodes of a path."""
 
-    at: Array  #: (n + 1,) parameters u of the nodes, equally spaced [m]
-    platform: Array  #: (n + 1, 3) poses of the platform, from its start on [m, m, rad]
-    arm: Array  #: (n + 1, 6) joint angles, unwrapped from the first on [rad]
+    at: Annotated[Array, Shape("n")]  #: (n + 1,) parameters u of the nodes, equally spaced [m]
+    #: (n + 1, 3) poses of the platform, from its start on [m, m, rad]
+    platform: Annotated[Array, Shape("n", 3)]
+    #: (n + 1, 6) joint angles, unwrapped from the first on [rad]
+    arm: Annotated[Array, Shape("n", 6)]
 
 
 class RedundancyResolver:

@@ -1,12 +1,14 @@
 """Planning of the motion of all nine axes along a Cartesian path of the tool."""
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.core import plausible
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -21,7 +23,7 @@ RIGIDITY_TOLERANCE = 1e-6  #: Largest deviation of an element of R R^T from the 
 
 
 @dataclass(frozen=True)
-class ToolPlan:
+class ToolPlan(Validated):
     """Motion of the whole body along a path of the tool."""
 
     curve: TimedCurve  #: All axes (n, 9) at ticks, from rest at the start to rest
@@ -29,7 +31,8 @@ class ToolPlan:
     length: float  #: Path length of the tool [m]
     path: ToolCurve = field(repr=False)  #: Path of the tool in the frame of the platform's start
     progress: PathProgress = field(repr=False)  #: Path parameter as a function of time
-    frame: Array = field(repr=False)  #: (4, 4) pose of the platform at the start, in odom
+    #: (4, 4) pose of the platform at the start, in odom
+    frame: Annotated[Array, Shape(4, 4)] = field(repr=False)
 
     def tool(self, times: Array) -> Array:
         """Return poses (m, 4, 4) of `tool0` in odom at times (m,) of the curve [s]."""

@@ -9,6 +9,7 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.frame_parameters import FrameParameters
@@ -18,7 +19,7 @@ from omniman_ros.planning.parameters import PlannerParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootprintOptions:
+class FootprintOptions(Validated):
     """Posture of the arm in the footprint, and heights of obstacles."""
 
     posture: tuple[float, ...] = parameter(
@@ -50,8 +51,9 @@ class FootprintOptions:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.posture) != JOINTS:
-            raise ParameterError("footprint.posture", self.posture, f"must have {JOINTS} angles")
+            raise self._refusal("posture", f"must have {JOINTS} angles")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +92,7 @@ class MpcPlannerParameters(RestartParameters):
     map_reading: MapReading = inline()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.core.safety.deadline > self.period:
             raise ParameterError(
                 "safety.deadline",

@@ -8,14 +8,16 @@ voltages would make the system stiff for strong motors (the time constant of `om
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
 from omniman_ros.control.dynamics import PlatformDynamics, smooth_sign
 from omniman_ros.control.kinematics import PlatformKinematics
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 
 STATES = 6  #: Number of states
 #: Wheel speed over which Coulomb friction rises [rad/s]: makes MPC 2021 (24) differentiable
@@ -24,24 +26,28 @@ ROLLING_WIDTH = 0.03  #: Rolling speed over which the drag of rollers rises [m/s
 
 
 @dataclass(frozen=True)
-class PlanningModel:
+class PlanningModel(Validated):
     """Constants of the model; its arrays must not be changed."""
 
-    J: Array  #: (n, 3) inverse Jacobian [1/m, 1/m, 1]
-    inertia: Array  #: (3, 3) H of (14) in base_link: platform, arm and wheels [kg, kg m, kg m^2]
-    mass: Array  #: (3, 3) the same without the wheels' own inertia
-    moment: Array  #: (3,) first moment of mass, for the centripetal force [kg m]
+    J: Annotated[Array, Shape("n", 3)]  #: (n, 3) inverse Jacobian [1/m, 1/m, 1]
+    #: (3, 3) H of (14) in base_link: platform, arm and wheels [kg, kg m, kg m^2]
+    inertia: Annotated[Array, Shape(3, 3)]
+    mass: Annotated[Array, Shape(3, 3)]  #: (3, 3) the same without the wheels' own inertia
+    #: (3,) first moment of mass, for the centripetal force [kg m]
+    moment: Annotated[Array, Shape(3)]
     resistance: float  #: R of each motor [ohm]
     emf: float  #: N K of each motor, at the wheel [V s/rad]
     efficiency: float  #: Efficiency eta of all gears [-]
-    viscous: Array  #: (n,) viscous friction a of (24) [N m s/rad]
-    coulomb: Array  #: (n,) Coulomb friction b of (24) [N m]
-    rolling: Array  #: (n, 3) matrix from a twist to the rolling speeds of the rollers [-, -, m]
-    drag: Array  #: (n,) largest drag of each roller [N]
-    max_current: Array  #: (n,) largest currents that amplifier and traction allow [A]
+    viscous: Annotated[Array, Shape("n")]  #: (n,) viscous friction a of (24) [N m s/rad]
+    coulomb: Annotated[Array, Shape("n")]  #: (n,) Coulomb friction b of (24) [N m]
+    #: (n, 3) matrix from a twist to the rolling speeds of the rollers [-, -, m]
+    rolling: Annotated[Array, Shape("n", 3)]
+    drag: Annotated[Array, Shape("n")]  #: (n,) largest drag of each roller [N]
+    #: (n,) largest currents that amplifier and traction allow [A]
+    max_current: Annotated[Array, Shape("n")]
     max_voltage: float  #: Largest motor voltage [V]
     max_speed: float  #: Largest wheel speed [rad/s]
-    half: Array  #: (2,) half length and half width of the bounding box [m]
+    half: Annotated[Array, Shape(2)]  #: (2,) half length and half width of the bounding box [m]
 
     @staticmethod
     def of(robot: Platform) -> "PlanningModel":

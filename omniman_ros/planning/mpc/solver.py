@@ -1,11 +1,13 @@
 """Real-time iterations on the optimal control problem: each iteration improves a guess."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 
@@ -14,13 +16,15 @@ TRUST_RADIUS = 0.3
 
 
 @dataclass(frozen=True)
-class Solution:
+class Solution(Validated):
     """Solution of an optimal control problem."""
 
-    currents: Array  #: (N, n) motor currents over each step [A]
-    states: Array  #: (N + 1, 6) states that result from them, the first being the start
+    currents: Annotated[Array, Shape("N", "n")]  #: (N, n) motor currents over each step [A]
+    #: (N + 1, 6) states that result from them, the first being the start
+    states: Annotated[Array, Shape("N + 1", 6)]
     cost: float  #: Cost of the last iterate that was evaluated [J]
-    slack: Array  #: (N,) slack of obstacles and workspace at the steps' ends [m]
+    #: (N,) slack of obstacles and workspace at the steps' ends [m]
+    slack: Annotated[Array, Shape("N")]
     step: float  #: Largest change of a current in the last iteration [A]
     iterations: int  #: Number of iterations
 
@@ -90,7 +94,14 @@ class Solver:
         states = self.states(start, currents.T)
         if not np.isfinite(states).all():
             raise SolverError("the plan is not finite")
-        return Solution(np.ascontiguousarray(currents.T), states, cost, slack, step, count)
+        return Solution.unchecked(
+            currents=np.ascontiguousarray(currents.T),
+            states=states,
+            cost=cost,
+            slack=slack,
+            step=step,
+            iterations=count,
+        )
 
     def _step(self, program: list[ca.DM]) -> Array:
         """Solve a quadratic program; return a row (delta u, s, delta x) for each step."""

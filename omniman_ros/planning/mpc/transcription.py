@@ -6,12 +6,14 @@ slack s_k [m] that relaxes obstacles and workspace; motor and twist limits are h
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.mpc.model import STATES, PlanningModel
 
 Indices = NDArray[np.intp]  #: Array of indices into the entries of a program
@@ -29,22 +31,24 @@ INACTIVE_GAP = 1e3  #: Gap of a row that constrains nothing [m]
 
 
 @dataclass(frozen=True)
-class Stage:
+class Stage(Validated):
     """Parameters of all stages, each (N, ...); limits apply at the stage's end."""
 
     #: (N, 6) linear speed, yaw rate, wheel speed, voltage, linear and yaw acceleration
-    limits: Array
-    workspace: Array  #: (4,) x_min, y_min, x_max, y_max [m], less the clearance
+    limits: Annotated[Array, Shape("N", 6)]
+    #: (4,) x_min, y_min, x_max, y_max [m], less the clearance
+    workspace: Annotated[Array, Shape(4)]
     #: (N, 6) pose [m, m, rad] and velocity in odom [m/s, m/s, rad/s] at the stage's end
-    target: Array
+    target: Annotated[Array, Shape("N", 6)]
     #: (N, 5) weights of position, heading, linear and angular velocity, and kinetic energy there
-    weights: Array
+    weights: Annotated[Array, Shape("N", 5)]
     energy: float  #: Weight of the losses
     slack: tuple[float, float]  #: Weights of the slack, linear [J/m] and quadratic [J/m^2]
-    obstacles: Array  #: (N, M, 13) obstacles and boxes, see OBSTACLE
+    #: (N, M, 13) obstacles and boxes, see OBSTACLE
+    obstacles: Annotated[Array, Shape("N", "M", 13)]
     #: (N, 8, 2) points of the robot in base_link that are the farthest towards x_min, x_max, y_min
     #: and y_max, two each [m].
-    extremes: Array
+    extremes: Annotated[Array, Shape("N", 8, 2)]
     #: Direction in odom in which the limits of linear speed and acceleration are fully available
     #: [rad]; elsewhere a polygon replaces their circle.
     direction: float = 0.0

@@ -1,33 +1,40 @@
 """Obstacles as moving ellipses, and prediction of their positions."""
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True)
-class Ellipses:
-    """M obstacles, each bounded by an ellipse that moves at constant velocity (MPC 2021, 4.3)."""
+class Ellipses(Validated):
+    """M obstacles, each bounded by an ellipse that moves at constant velocity (MPC 2021, 4.3).
+
+    Values that are not finite are let in: the distance to such an obstacle counts as a contact.
+    """
 
     time: float  #: Time at which the obstacles are at their centres [s]
-    centers: Array  #: (M, 2) centres in odom [m]
-    velocities: Array  #: (M, 2) velocities in odom [m/s]
-    semi_axes: Array  #: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero
-    angles: Array  #: (M,) angles of the ellipses' x axes in odom [rad]
-    growth: Array  #: (M,) rates at which the margin around each grows with predicted time [m/s]
+    centers: Annotated[Array, Shape("M", 2, finite=False)]  #: (M, 2) centres in odom [m]
+    velocities: Annotated[Array, Shape("M", 2, finite=False)]  #: (M, 2) velocities in odom [m/s]
+    #: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero
+    semi_axes: Annotated[Array, Shape("M", 2, low=0.0, unit="m", finite=False)]
+    angles: Annotated[
+        Array, Shape("M", finite=False)
+    ]  #: (M,) angles of the ellipses' x axes in odom [rad]
+    #: (M,) rates at which the margin around each grows with predicted time [m/s]
+    growth: Annotated[Array, Shape("M", finite=False)]
     #: (M,) heights of the obstacles' lower sides above the floor [m]; by default minus infinity
-    lower: Array = field(default_factory=lambda: np.zeros(0))
+    lower: Annotated[Array, Shape("M", finite=False, spread=True)] = field(
+        default_factory=lambda: np.array(-np.inf)
+    )
     #: (M,) heights of their upper sides [m]; by default infinity
-    upper: Array = field(default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        for name, value in (("lower", -np.inf), ("upper", np.inf)):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full(len(self), value))
+    upper: Annotated[Array, Shape("M", finite=False, spread=True)] = field(
+        default_factory=lambda: np.array(np.inf)
+    )
 
     def __len__(self) -> int:
         return len(self.centers)
@@ -58,28 +65,28 @@ class Ellipses:
 
     def select(self, indices: NDArray[Any]) -> "Ellipses":
         """Return the obstacles with these indices, in their order, or those of a mask."""
-        return Ellipses(
-            self.time,
-            self.centers[indices],
-            self.velocities[indices],
-            self.semi_axes[indices],
-            self.angles[indices],
-            self.growth[indices],
-            self.lower[indices],
-            self.upper[indices],
+        return Ellipses.unchecked(
+            time=self.time,
+            centers=self.centers[indices],
+            velocities=self.velocities[indices],
+            semi_axes=self.semi_axes[indices],
+            angles=self.angles[indices],
+            growth=self.growth[indices],
+            lower=self.lower[indices],
+            upper=self.upper[indices],
         )
 
     def joined(self, others: "Ellipses") -> "Ellipses":
         """Return these obstacles followed by others of the same time."""
-        return Ellipses(
-            self.time,
-            np.concatenate([self.centers, others.centers]),
-            np.concatenate([self.velocities, others.velocities]),
-            np.concatenate([self.semi_axes, others.semi_axes]),
-            np.concatenate([self.angles, others.angles]),
-            np.concatenate([self.growth, others.growth]),
-            np.concatenate([self.lower, others.lower]),
-            np.concatenate([self.upper, others.upper]),
+        return Ellipses.unchecked(
+            time=self.time,
+            centers=np.concatenate([self.centers, others.centers]),
+            velocities=np.concatenate([self.velocities, others.velocities]),
+            semi_axes=np.concatenate([self.semi_axes, others.semi_axes]),
+            angles=np.concatenate([self.angles, others.angles]),
+            growth=np.concatenate([self.growth, others.growth]),
+            lower=np.concatenate([self.lower, others.lower]),
+            upper=np.concatenate([self.upper, others.upper]),
         )
 
     def centers_at(self, times: Array) -> Array:

@@ -3,12 +3,14 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 
@@ -27,7 +29,7 @@ TURNED = 0.05  #: Angle by which a motion may turn on a way [rad]
 
 
 @dataclass(frozen=True)
-class EscapePath:
+class EscapePath(Validated):
     """Straight line on which the robot leaves what it overlaps, without going deeper.
 
     The robot cannot be where something stands: map or localisation are wrong there. Discs at the
@@ -37,8 +39,8 @@ class EscapePath:
     SHORT one may lead back over cells that the robot touches already.
     """
 
-    start: Array  #: (3,) pose in odom at which it begins [m, m, rad]
-    end: Array  #: (3,) clear pose at which it ends, of the same heading
+    start: Annotated[Array, Shape(3)]  #: (3,) pose in odom at which it begins [m, m, rad]
+    end: Annotated[Array, Shape(3)]  #: (3,) clear pose at which it ends, of the same heading
 
     @staticmethod
     def find(pose: Array, environment: Environment) -> "EscapePath | None":

@@ -3,15 +3,18 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core import plausible, se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.occupancy import MAX_CELLS, OccupancyMap
+from omniman_ros.core.parameters import Range
 from omniman_ros.core.rigid import PlanarPose
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 Mask = NDArray[np.bool_]  #: Array of flags, in the shape of the cells or of the points
@@ -23,7 +26,7 @@ CERTAIN = 100  #: Value of a cell that is occupied for certain [%]
 
 
 @dataclass(frozen=True)
-class GridMap:
+class GridMap(Validated):
     """Occupancy grid as in `nav_msgs/OccupancyGrid`; the area outside of it is free.
 
     Raises:
@@ -31,33 +34,22 @@ class GridMap:
             out of range; the origin is not finite or implausibly large.
     """
 
-    occupied: Mask  #: (rows, columns) occupied cells; rows along y, columns along x of the map
-    resolution: float  #: Edge of a cell [m]
-    origin: Array  #: (3,) x, y, yaw in odom of the lower left corner of cell (0, 0) [m, m, rad]
+    #: (rows, columns) occupied cells; rows along y, columns along x of the map
+    occupied: Annotated[Mask, Shape("rows", "columns")]
+    #: Edge of a cell [m]
+    resolution: Annotated[float, Range(low=MIN_RESOLUTION, high=MAX_RESOLUTION, unit="m")]
+    #: (3,) x, y, yaw in odom of the lower left corner of cell (0, 0) [m, m, rad]
+    origin: Annotated[Array, Shape(3)]
 
     def __post_init__(self) -> None:
-        cells: Mask = np.asarray(self.occupied, dtype=bool)
-        if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:
+        super().__post_init__()
+        if not 0 < self.occupied.size <= MAX_CELLS:
             raise InputError(
-                f"map: the cells have shape {cells.shape}, expected rows and columns of 1 to "
-                f"{MAX_CELLS} cells"
+                f"map: the cells have shape {self.occupied.shape}, expected rows and columns of "
+                f"1 to {MAX_CELLS} cells"
             )
-        if not MIN_RESOLUTION <= self.resolution <= MAX_RESOLUTION:
-            raise InputError(
-                f"map: the resolution is {self.resolution} m, expected {MIN_RESOLUTION:g} to "
-                f"{MAX_RESOLUTION:g}"
-            )
-        origin = np.array(self.origin, dtype=np.float64)
-        if origin.shape != (3,):
-            raise InputError(f"map: the origin has shape {origin.shape}, expected (3,)")
-        plausible.demand(origin[:2], plausible.LENGTH, "map: origin")
-        plausible.demand(origin[2:], plausible.ANGLE, "map: yaw of the origin")
-        if cells.flags.writeable:  # the caller's, who may change it
-            cells = cells.copy()
-            cells.setflags(write=False)
-        origin.setflags(write=False)
-        object.__setattr__(self, "occupied", cells)
-        object.__setattr__(self, "origin", origin)
+        plausible.demand(self.origin[:2], plausible.LENGTH, "map: origin")
+        plausible.demand(self.origin[2:], plausible.ANGLE, "map: yaw of the origin")
 
     @staticmethod
     def of_occupancy(

@@ -9,6 +9,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.tracking import (
     CONFIRMATION_TIME,
@@ -32,7 +33,7 @@ MAX_VELOCITY_DOUBT = 0.3
 
 
 @dataclass(frozen=True)
-class ObstacleParameters:
+class ObstacleParameters(Validated):
     """Parameters of the tracking of obstacles, and what is expected of their source."""
 
     tracking: TrackingParameters = inline()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 STEADY_FACTOR = 0.02  #: Ratio of the accelerations of the models of steady and of agile motion [-]
 #: Duration of an acceleration [s]: acceleration^2 times this is its spectral density
@@ -33,7 +34,7 @@ MIN_NOISE = 1e-4  #: Smallest learned noise [m]
 
 
 @dataclass(frozen=True)
-class TrackingParameters:
+class TrackingParameters(Validated):
     """Noise of observations, and limits of the motion of obstacles."""
 
     noise: float = parameter(

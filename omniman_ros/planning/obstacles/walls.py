@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
@@ -15,16 +17,20 @@ CHUNK = 24  #: Number of poses that are checked together, against all discs near
 
 
 @dataclass(frozen=True)
-class Walls:
+class Walls(Validated):
     """Discs of one radius that cover the boundary of the occupied area."""
 
-    centers: Array  #: (M, 2) centres in odom [m], sorted by x to find those near a pose quickly
+    #: (M, 2) centres in odom [m], sorted by x to find those near a pose quickly
+    centers: Annotated[Array, Shape("M", 2)]
     radius: float  #: Radius of the discs [m]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         x = self.centers[:, 0]
         if (x[1:] < x[:-1]).any():
-            object.__setattr__(self, "centers", self.centers[np.argsort(x)])
+            centers = self.centers[np.argsort(x)]
+            centers.setflags(write=False)
+            object.__setattr__(self, "centers", centers)
 
     def __len__(self) -> int:
         return len(self.centers)

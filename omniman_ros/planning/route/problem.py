@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import plausible
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
@@ -49,15 +51,15 @@ class Rooms:
 
 
 @dataclass(frozen=True)
-class RouteProblem:
+class RouteProblem(Validated):
     """Problem of a route from a pose to a pose around all static obstacles.
 
     Raises:
         InputError: A value is not finite or out of its range.
     """
 
-    start: Array  #: (3,) start in odom [m, m, rad]
-    goal: Array  #: (3,) goal in odom [m, m, rad], its heading on any branch
+    start: Annotated[Array, Shape(3)]  #: (3,) start in odom [m, m, rad]
+    goal: Annotated[Array, Shape(3)]  #: (3,) goal in odom [m, m, rad], its heading on any branch
     footprint: Footprint  #: Outline of the robot
     margin: float  #: Gap that is kept around the robot where there is room [m]
     speeds: tuple[float, float]  #: Largest linear [m/s] and angular speed [rad/s]
@@ -73,9 +75,8 @@ class RouteProblem:
     clearance: Clearance = field(init=False)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, pose in (("start", self.start), ("goal", self.goal)):
-            if pose.shape != (3,):
-                raise InputError(f"route: {name} has shape {pose.shape}, expected (3,)")
             plausible.demand(pose[:2], plausible.LENGTH, f"route: {name}")
             plausible.demand(pose[2:], plausible.ANGLE, f"route: heading of the {name}")
         half = self.footprint.whole.half

@@ -2,13 +2,15 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import plausible, se2
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import Workspace
@@ -24,7 +26,7 @@ GAP_RESERVE = 0.01  #: Difference above the margin up to which gaps are distingu
 
 
 @dataclass(frozen=True)
-class Route:
+class Route(Validated):
     """Poses joined by straight lines in (x, y, heading), from a start to a goal.
 
     A position along it is the shortest time of travel from its start [s]: translation and rotation
@@ -35,22 +37,23 @@ class Route:
             above zero.
     """
 
-    poses: Array  #: (K, 3) poses of base_link in odom, K >= 1, headings not wrapped [m, m, rad]
+    #: (K, 3) poses of base_link in odom, K >= 1, headings not wrapped [m, m, rad]
+    poses: Annotated[Array, Shape("K", 3)]
     speeds: tuple[float, float]  #: Linear [m/s] and angular speed [rad/s] for the times
     times: Array = field(init=False)  #: (K,) times of the poses, from 0 on [s]
 
     def __post_init__(self) -> None:
-        poses = np.array(self.poses, dtype=np.float64)
-        if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
-            raise InputError(f"route: poses have shape {poses.shape}, expected (K, 3)")
+        super().__post_init__()
+        poses = self.poses
+        if not len(poses):
+            raise InputError(f"route: poses have shape {poses.shape}, expected at least one")
         plausible.demand(poses[:, :2], plausible.LENGTH, "route: position")
         plausible.demand(poses[:, 2], plausible.ANGLE, "route: heading")
-        if not all(0.0 < speed < math.inf for speed in self.speeds):
+        if not min(self.speeds) > 0.0:
             raise InputError(f"route: speeds {self.speeds} m/s, rad/s must be above 0")
         times = np.concatenate([[0.0], np.cumsum(durations(np.diff(poses, axis=0), self.speeds))])
-        for name, value in (("poses", poses), ("times", times)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
+        times.setflags(write=False)
+        object.__setattr__(self, "times", times)
 
     @property
     def duration(self) -> float:

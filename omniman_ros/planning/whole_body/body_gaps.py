@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from omniman_ros.collision.signed_gaps import (
 )
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arm_model import JOINTS
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import HALF_TURN
@@ -33,12 +35,15 @@ PLATFORM = "platform"  #: Name of the platform among the parts
 
 
 @dataclass(frozen=True)
-class GapRows:
+class GapRows(Validated):
     """The nearest gaps at each of k configurations, with their derivatives."""
 
-    gap: Array  #: Gaps (k, n), less the growth of the margin around what moves [m]
-    slope: Array  #: Derivatives (k, n, 4) by the redundancy coordinates
-    kind: Indices  #: What each (k, n) is a gap to: OWN, STANDING or MOVING
+    #: Gaps (k, n), less the growth of the margin around what moves [m]
+    gap: Annotated[Array, Shape("k", "n")]
+    #: Derivatives (k, n, 4) by the redundancy coordinates
+    slope: Annotated[Array, Shape("k", "n", 4)]
+    #: What each (k, n) is a gap to: OWN, STANDING or MOVING
+    kind: Annotated[Indices, Shape("k", "n")]
 
     def nearest(self, count: int) -> "GapRows":
         """Return the n = `count` smallest gaps of each configuration; far ones fill up."""

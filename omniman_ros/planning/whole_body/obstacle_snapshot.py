@@ -1,14 +1,16 @@
 """What the whole body keeps clear of: standing obstacles, and those that move or may move."""
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 
 
 def _nothing() -> MovingObstacles:
@@ -16,7 +18,7 @@ def _nothing() -> MovingObstacles:
 
 
 @dataclass(frozen=True)
-class ObstacleSnapshot:
+class ObstacleSnapshot(Validated):
     """Obstacles around the robot at one time, in odom.
 
     Raises:
@@ -29,23 +31,19 @@ class ObstacleSnapshot:
     #: Obstacles that move at constant velocity, and those that may walk on at once
     moving: MovingObstacles = field(default_factory=_nothing)
     #: Rates (M,) at which the margin around each of the moving ones grows [m/s]
-    growth: Array = field(default_factory=lambda: np.zeros(0))
+    growth: Annotated[Array, Shape("M")] = field(default_factory=lambda: np.zeros(0))
     #: Names of all obstacles, the standing ones first; none if they are numbered
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         count = len(self.standing) + len(self.moving)
         if len(self.names) not in (0, count):
             raise InputError(f"there are {len(self.names)} names for {count} solids")
-        if self.growth.shape != (len(self.moving),):
+        if len(self.growth) != len(self.moving):
             raise InputError(
                 f"growth has shape {self.growth.shape}, expected ({len(self.moving)},)"
             )
-        obstacles = self.standing, self.moving.obstacles
-        values = [part for each in obstacles for part in (each.centre, each.yaw, each.half)]
-        values += [self.moving.velocity, self.growth, np.array([self.time])]
-        if not all(np.isfinite(part).all() for part in values):
-            raise InputError("solids must be finite, and so must their motion and its time")
 
     def placed(self, ages: Array) -> UprightObstacles:
         """Return all M obstacles, the standing ones first, at times (k,) after theirs [s].

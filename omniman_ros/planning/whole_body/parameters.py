@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from omniman_ros.collision.parameters import LoadShape, ToolShape
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
@@ -12,7 +12,7 @@ from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 
 
 @dataclass(frozen=True)
-class PathSearchOptions:
+class PathSearchOptions(Validated):
     """Options of the search for the platform's way."""
 
     layer: float = parameter(
@@ -44,7 +44,7 @@ class PathSearchOptions:
 
 
 @dataclass(frozen=True)
-class AvoidanceOptions:
+class AvoidanceOptions(Validated):
     """Options of the control of the whole body in its redundancy."""
 
     way: PathSearchOptions
@@ -74,14 +74,13 @@ class AvoidanceOptions:
     )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.least_clearance > self.clearance:
-            raise ParameterError(
-                "least_clearance", self.least_clearance, "must not be above clearance"
-            )
+            raise self._refusal("least_clearance", "must not be above clearance")
 
 
 @dataclass(frozen=True)
-class BodySetup:
+class BodySetup(Validated):
     """What a task needs to know of the robot."""
 
     description: DescriptionParameters  #: Shapes of platform and arm, and where the arm is mounted

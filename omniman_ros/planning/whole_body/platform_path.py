@@ -1,11 +1,13 @@
 """The platform's way along the path of the tool, as a search finds it."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline
 from omniman_ros.planning.whole_body.obstruction import Obstruction
 
@@ -19,12 +21,13 @@ class NoPathError(InputError):
 
 
 @dataclass(frozen=True)
-class PlatformPath:
+class PlatformPath(Validated):
     """Poses of the platform at equally spaced places of the tool's path, joined smoothly."""
 
     start: float  #: Parameter of the tool's path at the first pose [m]
     end: float  #: Parameter at the last pose [m]
-    poses: Array  #: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad]
+    #: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad]
+    poses: Annotated[Array, Shape("n", 3)]
 
     def at(self, places: Array) -> tuple[Array, Array]:
         """Return poses (k, 3) at places (k,) [m], held at the ends, and their derivatives."""

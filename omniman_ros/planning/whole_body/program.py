@@ -6,10 +6,12 @@ Their order is u_0, slack_0, x_1, u_1, slack_1, ..., x_N. Rows of stage k hold a
 """
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.planning.mpc.quadratic_program import INFINITY, QuadraticProgram
 from omniman_ros.planning.whole_body.redundancy import COORDINATES
 
@@ -21,13 +23,15 @@ STANDING, LIMITS, MOVING = range(CLASSES)
 
 
 @dataclass(frozen=True)
-class StageRows:
+class StageRows(Validated):
     """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each."""
 
-    value: Array  #: (N, R) values at the guess
-    by_x: Array  #: (N, R, 8) derivatives by the state at the stage's end
-    by_u: Array  #: (N, R, 4) derivatives by the stage's accelerations
-    slack: Array  #: (N, R) numbers of the classes of slack
+    value: Annotated[Array, Shape("N", "R")]  #: (N, R) values at the guess
+    #: (N, R, 8) derivatives by the state at the stage's end
+    by_x: Annotated[Array, Shape("N", "R", 8)]
+    #: (N, R, 4) derivatives by the stage's accelerations
+    by_u: Annotated[Array, Shape("N", "R", 4)]
+    slack: Annotated[Array, Shape("N", "R")]  #: (N, R) numbers of the classes of slack
 
     @staticmethod
     def join(parts: "list[StageRows]") -> "StageRows":
@@ -41,24 +45,28 @@ class StageRows:
 
 
 @dataclass(frozen=True)
-class Quadratic:
+class Quadratic(Validated):
     """Cost of a step, and its bounds."""
 
-    hessian: Array  #: (N, 8, 8) matrices of the states at the stages' ends
-    gradient: Array  #: (N, 8) their gradients
-    control_hessian: Array  #: (4,) diagonal of the matrix of the accelerations
-    control_gradient: Array  #: (N, 4) their gradients
-    control_bounds: Array  #: (2, N, 4) least and largest changes of the accelerations
-    state_bounds: Array  #: (2, N, 8) least and largest changes of the states
+    #: (N, 8, 8) matrices of the states at the stages' ends
+    hessian: Annotated[Array, Shape("N", 8, 8)]
+    gradient: Annotated[Array, Shape("N", 8)]  #: (N, 8) their gradients
+    #: (4,) diagonal of the matrix of the accelerations
+    control_hessian: Annotated[Array, Shape(4)]
+    control_gradient: Annotated[Array, Shape("N", 4)]  #: (N, 4) their gradients
+    #: (2, N, 4) least and largest changes of the accelerations
+    control_bounds: Annotated[Array, Shape(2, "N", 4)]
+    #: (2, N, 8) least and largest changes of the states
+    state_bounds: Annotated[Array, Shape(2, "N", 8)]
 
 
 @dataclass(frozen=True)
-class ProgramSolution:
+class ProgramSolution(Validated):
     """Solution of a program."""
 
-    controls: Array  #: (N, 4) changes of the accelerations
-    states: Array  #: (N, 8) changes of the states at the stages' ends
-    slack: Array  #: (N, 3) slack of each class
+    controls: Annotated[Array, Shape("N", 4)]  #: (N, 4) changes of the accelerations
+    states: Annotated[Array, Shape("N", 8)]  #: (N, 8) changes of the states at the stages' ends
+    slack: Annotated[Array, Shape("N", 3)]  #: (N, 3) slack of each class
 
 
 def transition(step: float) -> tuple[Array, Array]:

@@ -7,11 +7,12 @@ twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
 COORDINATES = 4  #: Number of redundancy coordinates
@@ -42,15 +43,19 @@ class LedPath(Protocol):
 
 
 @dataclass(frozen=True)
-class Configurations:
+class Configurations(Validated):
     """Configurations of the whole body along a plan."""
 
-    z: Array  #: Redundancy coordinates (k, 4)
-    q: Array  #: All axes (k, 9); NaN where the arm does not reach the tool
-    rates: Array  #: G (k, 6, 4), the joints' derivatives by z
-    frames: Array  #: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table
-    jacobian: Array  #: Jacobians (k, 6, 9) of the tool
-    bend: Array  #: Derivatives (k, 6) of the tool's twist per s by s
+    z: Annotated[Array, Shape("k", 4)]  #: Redundancy coordinates (k, 4)
+    #: All axes (k, 9); NaN where the arm does not reach the tool
+    q: Annotated[Array, Shape("k", 9, finite=False)]
+    #: G (k, 6, 4), the joints' derivatives by z
+    rates: Annotated[Array, Shape("k", 6, 4, finite=False)]
+    #: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table
+    frames: Annotated[Array, Shape("k", 7, 4, 4, finite=False)]
+    jacobian: Annotated[Array, Shape("k", 6, 9, finite=False)]  #: Jacobians (k, 6, 9) of the tool
+    #: Derivatives (k, 6) of the tool's twist per s by s
+    bend: Annotated[Array, Shape("k", 6, finite=False)]
 
     @property
     def platform(self) -> Array:

@@ -3,12 +3,13 @@
 from dataclasses import dataclass, fields
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.can_drives.motor import DriveFaults
 from omniman_ros.simulation.plant.parameters import Names, flags
 
 
 @dataclass(frozen=True)
-class CanFaultParameters:
+class CanFaultParameters(Validated):
     """Faults to simulate; wheels by name. All parameters may change at any time."""
 
     silent: Names = parameter((), "Wheels whose drive sends nothing; it still receives.")

@@ -55,9 +55,9 @@ def carried_arm(arm: Arm, mount: Mount, posture: Sequence[float]) -> Arm:
         body = body.carried(link.place, _fixed_axes(link.rpy) @ _about(2, angle))
     body = _body_of(BASE.inertia, weight).joined(body).carried(BASE.place, _fixed_axes(BASE.rpy))
     body = body.carried((mount.x, mount.y, mount.z), _about(2, mount.yaw))
-    com_x, com_y, com_z = body.centre.tolist()
+    x, y, z = body.centre.tolist()
     inertia = float(body.tensor[2, 2])
-    return replace(arm, com_x=com_x, com_y=com_y, com_z=com_z, inertia=inertia)
+    return replace(arm, com_x=x, com_y=y, com_z=max(0.0, z), inertia=inertia)
 
 
 def _body_of(inertia: Inertia, weight: float) -> _Body:

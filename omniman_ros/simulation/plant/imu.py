@@ -2,16 +2,18 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImuSensorParameters:
+class ImuSensorParameters(Validated):
     """Errors and faults of the sensor; those of a small MEMS unit by default."""
 
     gyro_noise: float = parameter(
@@ -34,12 +36,12 @@ class ImuSensorParameters:
 
 
 @dataclass(frozen=True)
-class BaseMotion:
+class BaseMotion(Validated):
     """Motion of base_link in one instant."""
 
-    rotation: Array  #: Rotation (3, 3) of base_link in the world
-    velocity: Array  #: Velocity (3,) of its origin, in its own axes [m/s]
-    rate: Array  #: Angular velocity (3,), in its own axes [rad/s]
+    rotation: Annotated[Array, Shape(3, 3)]  #: Rotation (3, 3) of base_link in the world
+    velocity: Annotated[Array, Shape(3)]  #: Velocity (3,) of its origin, in its own axes [m/s]
+    rate: Annotated[Array, Shape(3)]  #: Angular velocity (3,), in its own axes [rad/s]
 
 
 def planar_motion(twist: Array) -> BaseMotion:

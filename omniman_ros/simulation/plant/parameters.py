@@ -8,13 +8,14 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 Floats = tuple[float, ...]  #: One value for all wheels, or one per wheel
 Names = tuple[str, ...]  #: Names of wheels
 
 
 @dataclass(frozen=True)
-class PlantParameters:
+class PlantParameters(Validated):
     """Floor, contact and integration."""
 
     substep: float = parameter(
@@ -59,7 +60,7 @@ class PlantParameters:
 
 
 @dataclass(frozen=True)
-class MismatchParameters:
+class MismatchParameters(Validated):
     """How each real wheel differs from the robot's data; one value or one per wheel.
 
     Offsets and angles are added to where the robot's data has the wheel and its rollers.
@@ -102,7 +103,7 @@ class MismatchParameters:
 
 
 @dataclass(frozen=True)
-class FirmwareParameters:
+class FirmwareParameters(Validated):
     """Parameters of the drive units; all wheels have the same."""
 
     velocity_bandwidth: float = parameter(
@@ -171,7 +172,7 @@ class FirmwareParameters:
 
 
 @dataclass(frozen=True)
-class FaultParameters:
+class FaultParameters(Validated):
     """Faults to test the controller against; wheels are given by name."""
 
     dead_motor: Names = parameter((), "Wheels whose motor circuit is open: no torque.")
@@ -191,7 +192,7 @@ class FaultParameters:
 
 
 @dataclass(frozen=True)
-class SimulationParameters:
+class SimulationParameters(Validated):
     """All parameters of the simulated drives; `core.parameters.build(cls, {})` has defaults."""
 
     plant: PlantParameters

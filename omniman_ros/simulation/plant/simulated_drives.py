@@ -3,12 +3,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.plant.body import WheeledBody
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
@@ -19,12 +21,14 @@ MIN_RAMP_FRACTION = 0.05  #: Smallest fraction of the deceleration with which a 
 
 
 @dataclass(frozen=True)
-class SimulatedWheelStates:
+class SimulatedWheelStates(Validated):
     """Feedback of all wheels; read-only arrays, shape (n,)."""
 
-    position: Array  #: Wheel angles in whole encoder steps [rad]; not wrapped
-    velocity: Array  #: Wheel speeds from the encoders [rad/s]
-    effort: Array  #: Torques at the wheels [N m], from the currents by nominal motor values
+    #: Wheel angles in whole encoder steps [rad]; not wrapped
+    position: Annotated[Array, Shape("n")]
+    velocity: Annotated[Array, Shape("n")]  #: Wheel speeds from the encoders [rad/s]
+    #: Torques at the wheels [N m], from the currents by nominal motor values
+    effort: Annotated[Array, Shape("n")]
 
 
 class SimulatedDrives:

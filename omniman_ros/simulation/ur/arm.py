@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.ur.dynamics import ArmDynamics
 
 JOINTS = 6  #: Number of joints
@@ -16,7 +16,7 @@ REST_SPEED = 1e-3  #: Joint speed below which the arm counts as at rest [rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrArmParameters:
+class UrArmParameters(Validated):
     """Limits of the simulated arm, and of its safety system.
 
     Position, speed and acceleration limits are those that a controller reports as its own
@@ -121,18 +121,16 @@ class UrArmParameters:
             ParameterError: There are not six angles or torques, an angle is out of range, or the
                 deceleration of stops is above the largest acceleration.
         """
+        super().__post_init__()
         if len(self.initial) != JOINTS or any(abs(q) > self.range for q in self.initial):
             reason = f"must be {JOINTS} angles within +-{self.range} rad"
-            raise ParameterError("simulated_arm.initial", self.initial, reason)
+            raise self._refusal("initial", reason)
         if len(self.collision_torque) != JOINTS:
             reason = f"must be {JOINTS} torques"
-            raise ParameterError("simulated_arm.collision_torque", self.collision_torque, reason)
+            raise self._refusal("collision_torque", reason)
         if self.protective_deceleration > self.acceleration:
-            raise ParameterError(
-                "simulated_arm.protective_deceleration",
-                self.protective_deceleration,
-                f"must be at most simulated_arm.acceleration = {self.acceleration} rad/s^2",
-            )
+            reason = f"must be at most simulated_arm.acceleration = {self.acceleration} rad/s^2"
+            raise self._refusal("protective_deceleration", reason)
 
 
 class SimulatedArm:

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrFaultParameters:
+class UrFaultParameters(Validated):
     """Faults to test a client against. All can be changed while the controller runs.
 
     A fault that occurs once does so each time its parameter becomes true.

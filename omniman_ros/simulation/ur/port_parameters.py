@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 
 @dataclass(frozen=True, kw_only=True)
-class UrPortParameters:
+class UrPortParameters(Validated):
     """Address and numbers of the controller's ports."""
 
     address: str = parameter(

@@ -12,10 +12,12 @@ them bounds the obstacle, so that a coarse search costs room and never safety.
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.world.velocity_program import HalfPlane
 
 DIRECTION_COUNT = 72  #: Number of directions; even, so that each has its opposite
@@ -35,15 +37,18 @@ def outline(points: Array, radius: float = 0.0) -> Array:
 
 
 @dataclass(frozen=True)
-class AvoidedNeighbours:
+class AvoidedNeighbours(Validated):
     """What a person keeps clear of."""
 
-    outlines: Array  #: Support functions in the world, (m, d) [m]
-    velocities: Array  #: Velocities in the world, (m, 2) [m/s]
-    wishes: Array  #: Velocities that they would have if they had not to give way, (m, 2) [m/s]
-    reaches: Array  #: Least distances of the person's middle to each, (m,) [m]
-    horizons: Array  #: How far ahead each is minded, (m,) [s]
-    fractions: Array  #: Fraction of the avoidance, (m,): 1, or 1/2 where the other does the same
+    outlines: Annotated[Array, Shape("m", "d")]  #: Support functions in the world, (m, d) [m]
+    velocities: Annotated[Array, Shape("m", 2)]  #: Velocities in the world, (m, 2) [m/s]
+    #: Velocities that they would have if they had not to give way, (m, 2) [m/s]
+    wishes: Annotated[Array, Shape("m", 2)]
+    #: Least distances of the person's middle to each, (m,) [m]
+    reaches: Annotated[Array, Shape("m")]
+    horizons: Annotated[Array, Shape("m")]  #: How far ahead each is minded, (m,) [s]
+    #: Fraction of the avoidance, (m,): 1, or 1/2 where the other does the same
+    fractions: Annotated[Array, Shape("m")]
     fixed: int  #: Number of the first of them that are fixed
 
 

@@ -52,13 +52,13 @@ class Clutter(Element):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.x_min < self.x_max or not self.y_min < self.y_max:
-            raise ParameterError(f"{self.name}.x_max", self.x_max, "the field is empty")
+            raise self._refusal("x_max", "the field is empty")
         if self.passage > self.y_max - self.y_min:
-            raise ParameterError(f"{self.name}.passage", self.passage, "is wider than the field")
+            raise self._refusal("passage", "is wider than the field")
         rows, columns = self.shape
         if not 0 < rows * columns <= MAX_CELLS:
             reason = f"makes {rows} x {columns} cells, expected 1 to {MAX_CELLS}"
-            raise ParameterError(f"{self.name}.radius", self.radius, reason)
+            raise self._refusal("radius", reason)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.platform import BASE
@@ -14,14 +16,17 @@ MEMORY = 5.0  #: Time for which an ended contact is reported, in filter time con
 
 
 @dataclass(frozen=True)
-class RobotContact:
+class RobotContact(Validated):
     """A contact of a part of the robot with something else; not of a wheel with the floor."""
 
     part: str  #: Link of the robot
     element: str  #: Element of the scene, or the floor
-    position: Array  #: Where they touch, or last touched, in the world [m], (3,)
-    force: Array  #: Force on the robot in the world, low-pass filtered [N], (3,)
-    impulse: Array  #: Integral of the force, unfiltered, since the contact began [N s], (3,)
+    #: Where they touch, or last touched, in the world [m], (3,)
+    position: Annotated[Array, Shape(3)]
+    #: Force on the robot in the world, low-pass filtered [N], (3,)
+    force: Annotated[Array, Shape(3)]
+    #: Integral of the force, unfiltered, since the contact began [N s], (3,)
+    impulse: Annotated[Array, Shape(3)]
     touches: bool  #: Whether they touch now
     part_speed: float  #: Speed of the part's point when it first touched [m/s]
     element_speed: float  #: Speed of the other's point [m/s]

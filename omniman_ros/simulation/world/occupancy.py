@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arrays import Array
+from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.validated import Validated
 from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.solids import EllipticPrism, Solid, UprightBox, fixed_solids
 
@@ -16,12 +18,13 @@ MARGIN = 1.0  #: Free space around the elements and the robot's start [m]
 
 
 @dataclass(frozen=True)
-class Occupancy:
+class Occupancy(Validated):
     """Cells that are occupied, as in `nav_msgs/OccupancyGrid`."""
 
-    occupied: NDArray[np.bool_]  #: Whether each cell is occupied, (rows along y, columns along x)
+    #: Whether each cell is occupied, (rows along y, columns along x)
+    occupied: Annotated[NDArray[np.bool_], Shape("rows", "columns")]
     resolution: float  #: Edge of a cell [m]
-    origin: Array  #: Corner (x, y) of cell (0, 0) in the world [m], (2,)
+    origin: Annotated[Array, Shape(2)]  #: Corner (x, y) of cell (0, 0) in the world [m], (2,)
 
 
 def occupancy(scene: Scene, resolution: float = 0.05, height: float = 0.5) -> Occupancy:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_model import JOINTS
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 Floats = tuple[float, ...]  #: Angle of each joint [rad]
 IDEAL = "ideal"  #: Wheels with one contact that slips along the roller's axis and rolls across
@@ -12,7 +12,7 @@ ROLLERS = "rollers"  #: Kind of wheel: passive rollers around its rim, each a bo
 
 
 @dataclass(frozen=True)
-class WorldParameters:
+class WorldParameters(Validated):
     """Wheels, and what happens in contacts."""
 
     wheels: str = parameter(
@@ -69,6 +69,7 @@ class WorldParameters:
         Raises:
             ParameterError: It does not have one angle per joint.
         """
+        super().__post_init__()
         if len(self.posture) != JOINTS:
             reason = f"must be {JOINTS} angles"
-            raise ParameterError("world.posture", self.posture, reason)
+            raise self._refusal("posture", reason)

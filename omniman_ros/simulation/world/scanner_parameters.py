@@ -4,15 +4,15 @@ import math
 import re
 from dataclasses import dataclass
 
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.validated import Validated
 
 NO_FAULT, SILENT, FROZEN, COVERED = "none", "silent", "frozen", "covered"  #: Faults of a scanner
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  #: A scanner's name, which can be part of a topic's
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScannerParameters:
+class ScannerParameters(Validated):
     """Mounting and measurement of a scanner that lies flat; the first beam is its rightmost."""
 
     name: str = parameter("scanner", "Name, which is also that of its frame.", read_only=True)
@@ -56,9 +56,10 @@ class ScannerParameters:
             ParameterError: The name has other characters than letters, digits and underscores
                 or does not begin with a letter, or the longest range is not above the shortest.
         """
+        super().__post_init__()
         if not NAME.fullmatch(self.name):
             reason = "must be letters, digits and underscores, and begin with a letter"
-            raise ParameterError("scanners.name", self.name, reason)
+            raise self._refusal("name", reason)
         if not self.range_min < self.range_max:
             reason = f"must be above range_min, {self.range_min:g} m"
-            raise ParameterError("scanners.range_max", self.range_max, reason)
+            raise self._refusal("range_max", reason)

@@ -4,13 +4,13 @@ Positions are in the world, the frame of the ground truth; x and y are arrays wh
 several points. What carries a name can be a party of a contact.
 """
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.parameters import REQUIRED, parameter, specs
+from omniman_ros.core.parameters import REQUIRED, parameter
+from omniman_ros.core.validated import Validated
 
 Floats = tuple[float, ...]  #: Coordinates of points [m]
 SCRIPTED = "scripted"  #: Behaviour of a person who gives way to nobody
@@ -39,16 +39,15 @@ def _mass(default: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Element:
+class Element(Validated):
     """Part of a scene; a value of a wrong type or range raises a ParameterError."""
 
     name: str = parameter(REQUIRED, "Name of this element only.")
 
     def __post_init__(self) -> None:
-        for spec in specs(type(self)):
-            object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name)))
+        super().__post_init__()
         if not self.name or not self.name.isprintable():
-            raise ParameterError("name", self.name, "must have printable characters")
+            raise self._refusal("name", "must have printable characters")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,17 +71,17 @@ class Wall(Element):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.x) < 2 or len(self.x) != len(self.y):
-            raise ParameterError(f"{self.name}.x", self.x, "must be two or more points with y")
+            raise self._refusal("x", "must be two or more points with y")
         lengths = [
             ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5
             for x0, y0, x1, y1 in zip(self.x, self.y, self.x[1:], self.y[1:], strict=False)
         ]
         if min(lengths) <= 0.0:
-            raise ParameterError(f"{self.name}.x", self.x, "has the same point twice in a row")
+            raise self._refusal("x", "has the same point twice in a row")
         for door in self.doors:
             if not 0.0 <= door <= sum(lengths):
                 reason = f"must be on the wall, from 0 to {sum(lengths):g} m"
-                raise ParameterError(f"{self.name}.doors", door, reason)
+                raise self._refusal("doors", f"{door:g} {reason}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +126,7 @@ class Table(Element):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.thickness < self.height:
-            raise ParameterError(f"{self.name}.thickness", self.thickness, "must be below height")
+            raise self._refusal("thickness", "must be below height")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,11 +194,11 @@ class Person(Element):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.x or len(self.x) != len(self.y):
-            raise ParameterError(f"{self.name}.x", self.x, "must be one or more points with y")
+            raise self._refusal("x", "must be one or more points with y")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scene:
+class Scene(Validated):
     """What is around the robot, and where the robot starts.
 
     Raises:
@@ -217,9 +216,7 @@ class Scene:
     persons: tuple[Person, ...] = ()  #: Who walks or stands there
 
     def __post_init__(self) -> None:
-        numbers = [isinstance(value, int | float) for value in self.start]
-        if len(numbers) != 3 or not all(numbers) or not all(map(math.isfinite, self.start)):
-            raise ParameterError("start", self.start, "must be three finite numbers")
+        super().__post_init__()
         for name, count in Counter(element.name for element in self.elements()).items():
             if count > 1:
                 raise ParameterError("name", name, "two elements of the scene have this name")

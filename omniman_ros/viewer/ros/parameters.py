@@ -6,6 +6,7 @@ from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import REQUIRED, inline, parameter
 from omniman_ros.core.platform import Platform
+from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
@@ -14,7 +15,7 @@ from omniman_ros.viewer.page_access import PageAccess
 
 
 @dataclass(frozen=True)
-class DrivingLimits:
+class DrivingLimits(Validated):
     """Bounds of the speed sliders; the platform controller enforces the robot's limits."""
 
     linear_velocity: float = parameter(
@@ -36,7 +37,7 @@ class DrivingLimits:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewerParameters:
+class ViewerParameters(Validated):
     """Parameters of the viewer: robot to draw, address of the page, frame rate and frames."""
 
     robot: Platform = inline()

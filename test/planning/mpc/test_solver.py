@@ -208,6 +208,15 @@ def test_warm_start_is_close_to_the_solution():
 # ---- faults -----------------------------------------------------------------------------------
 
 
+def changed(stage, **changes):
+    """Return a stage with values at some places of its arrays, without a check."""
+    arrays = {}
+    for name, (place, value) in changes.items():
+        arrays[name] = np.array(getattr(stage, name))
+        arrays[name][place] = value
+    return type(stage).unchecked(**{**vars(stage), **arrays})
+
+
 @pytest.mark.parametrize("where", ["start", "guess", "target", "obstacle"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_input_that_is_not_finite_raises_an_error(where, value):
@@ -218,9 +227,10 @@ def test_input_that_is_not_finite_raises_an_error(where, value):
     elif where == "guess":
         guess[3, 1] = value
     elif where == "target":
-        stage.target[5, 0] = value
+        stage = changed(stage, target=((5, 0), value))
     else:
-        stage.obstacles[2, 0, 0] = np.nan  # a workspace bound at infinity is valid
+        # A workspace bound at infinity is valid.
+        stage = changed(stage, obstacles=((2, 0, 0), np.nan))
     with pytest.raises((SolverError, RuntimeError)):
         solver().solve(start, guess, stage)
 
@@ -228,8 +238,7 @@ def test_input_that_is_not_finite_raises_an_error(where, value):
 def test_error_does_not_affect_the_next_solution():
     stage = stage_of("ig42", pose(1, 0, 0))
     before = solver().solve(np.zeros(6), solver().cold(), stage, 5)
-    bad = stage_of("ig42", pose(1, 0, 0))
-    bad.target[:] = np.nan
+    bad = changed(stage, target=(slice(None), np.nan))
     with pytest.raises((SolverError, RuntimeError)):
         solver().solve(np.zeros(6), solver().cold(), bad, 5)
     after = solver().solve(np.zeros(6), solver().cold(), stage, 5)
@@ -239,7 +248,8 @@ def test_error_does_not_affect_the_next_solution():
 def test_contradictory_limits_raise_an_error_that_names_the_cause():
     start = np.array([0, 0, 0, 0.9, 0, 0.0])
     stage = stage_of("ig42", pose(1, 0, 0), start=start)
-    stage.limits[:, 0] = 0.01  # stop at once, yet with at most 1 m/s^2
+    # Stop at once, yet with at most 1 m/s^2.
+    stage = changed(stage, limits=((slice(None), 0), 0.01))
     with pytest.raises(SolverError, match="not solved"):
         solver().solve(start, solver().cold(), stage)
 

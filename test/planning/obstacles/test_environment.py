@@ -1,6 +1,7 @@
 """Static environment for routes, and walls in the final check of motions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -205,7 +206,9 @@ def test_longest_clear_part_ends_before_the_wall():
 def test_motion_that_is_not_finite_is_never_clear():
     for row in (0, 7):
         motion = a_stop(0.1, 0.0, 0.0)
-        motion.poses[row, 0] = math.nan
+        poses = motion.poses.copy()
+        poses[row, 0] = math.nan
+        motion = replace(motion, poses=poses)
         assert around().contact(motion, NOW) < math.inf
         assert around()._at_wall(motion, NOW, MARGIN) < math.inf
 

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -471,7 +472,7 @@ def test_contact_before_a_pose_with_nan_is_reported():
 def test_obstacle_with_nan_is_a_contact_at_once(field, value):
     times, poses, velocities = winding()
     ellipses = one((40, 40))
-    getattr(ellipses, field)[0] = value
+    ellipses = replace(ellipses, **{field: np.full_like(getattr(ellipses, field), value)})
     assert within_distance(times, poses, velocities, BOX, ellipses).all()
     assert first_contact(times, poses, velocities, BOX, ellipses) == times[0]
 

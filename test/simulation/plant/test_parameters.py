@@ -18,7 +18,7 @@ MODULES = (
     "wheel",
     "lossy_channel",
 )
-CONFIGURATION = {"arrays", "errors", "parameters", "robot"}
+CONFIGURATION = {"arrays", "errors", "parameters", "platform", "validated"}
 
 
 def test_arrays_have_one_value_or_one_per_wheel():

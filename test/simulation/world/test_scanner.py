@@ -20,7 +20,7 @@ FLAT = build(ScannerParameters, {"x": 0.6, "y": 0.1, "yaw": 0.3, "field_of_view"
 
 
 def test_a_longest_range_below_the_shortest_is_refused():
-    with pytest.raises(ParameterError, match=r"scanners\.range_max"):
+    with pytest.raises(ParameterError, match=r"ScannerParameters\.range_max"):
         replace(FLAT, range_min=1.0, range_max=0.5)
 
 
@@ -127,7 +127,7 @@ def test_what_is_too_near_or_too_far_is_infinite():
 
 @pytest.mark.parametrize("name", ["", "2nd", "front/left", "front left", "vorne\n"])
 def test_a_name_that_cannot_be_part_of_a_topic_is_refused(name):
-    with pytest.raises(ParameterError, match=r"scanners\.name"):
+    with pytest.raises(ParameterError, match=r"ScannerParameters\.name"):
         replace(FLAT, name=name)
 
 
