@@ -20,8 +20,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, TypeVar
 
-import numpy as np
-
 from omniman_ros.core.errors import InputError, OmnimanError, ParameterError
 
 T = TypeVar("T")
@@ -124,7 +122,8 @@ class Spec:
         """Return a value of another type, such as numpy's, in Python's own."""
         if kind is str and isinstance(value, str):
             return str.__str__(value)
-        if kind is bool and isinstance(value, np.bool_):
+        # numpy's own, which is not imported here: the command line's help does without it.
+        if kind is bool and str(getattr(value, "dtype", "")) == "bool" and not value.shape:
             return bool(value)
         if isinstance(value, _NUMBERS.get(kind, ())) and not isinstance(value, bool):
             with contextlib.suppress(OverflowError):  # an integer beyond all floats

@@ -8,9 +8,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 
 WAIT_TIMEOUT = 5.0  #: Longest time for which a motion waits until the robot can start it [s]
-#: Longest time for which it waits until a motion of another source has passed, or the controller
-#: is heard [s].
-HANDOVER_TIME = 1.0
+HANDOVER_TIME = 1.0  #: Longest time for which it waits for the end of another source's motion [s]
 
 
 class StartState(enum.Enum):
@@ -67,13 +65,15 @@ class PendingStart:
 
         The motion is refused at once for a reason in `refusal`, after `HANDOVER_TIME` if that is
         one which may pass (`StreamMonitor.passing_reason`), and after the timeout for one that
-        `blocking_reason` returns. The motion is no longer pending unless the outcome is that it is
-        still waiting.
+        `blocking_reason` returns, or while the controller is not heard. The motion is no longer
+        pending unless the outcome is that it is still waiting.
         """
         if self._start is None:
             return StartAttempt(StartState.NOTHING_PENDING)
         now, reason = self._clock(), refusal
-        if reason and reason == self._stream_monitor.passing_reason and now < self._handover:
+        monitor = self._stream_monitor
+        passes = reason == monitor.passing_reason and now < self._handover
+        if reason and (passes or (monitor.is_unheard and now < self._deadline)):
             return StartAttempt(StartState.WAITING, reason)
         if not reason:
             reason = blocking_reason()

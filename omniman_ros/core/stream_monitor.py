@@ -88,11 +88,16 @@ class StreamMonitor:
     def passing_reason(self) -> str:
         """The blocking reason if it may pass by itself in a moment, else empty.
 
-        The controller reports a motion for a moment after its end, and a node that has just
-        started has not heard the controller yet. Who drives by twists has the robot on purpose.
+        The controller reports a motion for a moment after its end. Who drives by twists has the
+        robot on purpose.
         """
-        is_passing = not self.stop_reason and self.source not in ("stop", "cmd_vel")
+        is_passing = not self.stop_reason and self.source not in ("", "stop", "cmd_vel")
         return self.blocking_reason if is_passing else ""
+
+    @property
+    def is_unheard(self) -> bool:
+        """Whether nothing has been heard of the controller yet, as after the start of a node."""
+        return not self.stop_reason and not self.source
 
     def waiting_time(self, now: float) -> float:
         """Return how long a new stream must wait until it is accepted [s]."""

@@ -94,7 +94,10 @@ def bench():
 
 
 def velocity(*speeds):
-    return WheelCommand(DriveMode.VELOCITY, np.zeros(4), np.array(speeds, dtype=float))
+    """Return a command, without the check of its own, so that the policy has to refuse it."""
+    return WheelCommand.unchecked(
+        mode=DriveMode.VELOCITY, effort=np.zeros(4), velocity=np.array(speeds, dtype=float)
+    )
 
 
 # ---- set-up ---------------------------------------------------------------------------------
@@ -296,7 +299,12 @@ def test_stale_command_becomes_a_ramp_to_rest_on_the_curve(bench):
         (velocity(1e3, 0, 0, 0), "1000.0 rad/s; the limit is"),
         (velocity(math.nan, 0, 0, 0), "must be finite"),
         (velocity(math.inf, 0, 0, 0), "must be finite"),
-        (WheelCommand(DriveMode.VELOCITY, np.full(4, math.nan), np.zeros(4)), "must be finite"),
+        (
+            WheelCommand.unchecked(
+                mode=DriveMode.VELOCITY, effort=np.full(4, math.nan), velocity=np.zeros(4)
+            ),
+            "must be finite",
+        ),
         (WheelCommand(DriveMode.TORQUE, np.zeros(4)), "can.mode is velocity"),
         (WheelCommand(DriveMode.VOLTAGE, np.zeros(4)), "can.mode is velocity"),
         (WheelCommand(DriveMode.VELOCITY, np.zeros(3), np.zeros(3)), "got 3"),

@@ -2,7 +2,7 @@
 
 import pytest
 
-from omniman_ros.core.pending_start import HANDOVER_TIME, PendingStart, StartState
+from omniman_ros.core.pending_start import HANDOVER_TIME, WAIT_TIMEOUT, PendingStart, StartState
 from omniman_ros.core.stream_monitor import StreamMonitor
 
 
@@ -25,13 +25,14 @@ class Waiting:
 
 
 @pytest.mark.parametrize(
-    ("source", "why"), [("mpc", "mpc drives"), ("", "no platform_controller")]
+    ("source", "why", "patience"),
+    [("mpc", "mpc drives", HANDOVER_TIME), ("", "no platform_controller", WAIT_TIMEOUT)],
 )
-def test_a_motion_waits_for_the_end_of_another_one_but_not_for_long(source, why):
+def test_a_motion_waits_for_what_passes_but_not_for_long(source, why, patience):
     it = Waiting(source)
     state, reason = it.attempt()
     assert state is StartState.WAITING and why in reason
-    it.now += HANDOVER_TIME - 0.01
+    it.now += patience - 0.01
     assert it.attempt()[0] is StartState.WAITING
     it.now += 0.02
     state, reason = it.attempt()

@@ -185,7 +185,7 @@ def test_a_stamp_ahead_delays_the_start(world):
 
 INVALID_TRAJECTORIES: dict[str, Any] = {
     "unknown name": ({"names": [*UR_JOINTS[:5], "elbow"]}, "no joint elbow"),
-    "NaN": ({"rows": FAR * NAN}, "positions .* not finite"),
+    "NaN": ({"rows": FAR * NAN}, "positions.* not a finite number"),
     "beyond a limit": ({"rows": [[0, 0, 4, 0, 0, 0]]}, "elbow_joint: position 4 rad of point 0"),
     "too hard": ({"rows": FAR, "times": [0.7]}, "shoulder_pan_joint: acceleration .* limit is 5"),
     "times back": ({"rows": [FAR, HOME], "times": [2.0, 1.0]}, "do not increase: point 0 at 2 s"),
