@@ -96,7 +96,8 @@ class Shape:
         """Return the value itself if nobody can write it, else a read-only copy."""
         kind = self._kind
         if type(value) is np.ndarray and value.dtype is kind:
-            return value if _is_frozen(value) else _frozen(value.copy())
+            # The same layout in memory: products of matrices round by it.
+            return value if _is_frozen(value) else _frozen(value.copy(order="K"))
         try:
             given = np.asarray(value)
         except ValueError:  # rows of different length

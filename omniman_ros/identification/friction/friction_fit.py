@@ -47,6 +47,8 @@ MIN_RUNS = 3  #: Number of runs in each direction that a fit needs
 MIN_SPEED_RATIO = 2.0  #: Ratio of fastest to slowest run per direction that separates a from b
 RESOLUTION = 0.002  #: Smallest relative error of a torque that is assumed
 DIFFERENCE_LEVEL = 0.01  #: Significance level of the test for a difference between the directions
+#: Relative difference of the directions that counts as round-off: runs without noise would show it
+ROUND_OFF = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,8 @@ class WheelFriction:
     @property
     def differs(self) -> bool:
         """Whether the directions differ significantly."""
-        return self.difference < DIFFERENCE_LEVEL
+        is_equal = np.allclose(self.forward, self.backward, rtol=ROUND_OFF, atol=0.0)
+        return self.difference < DIFFERENCE_LEVEL and not is_equal
 
     @property
     def back_emf_off(self) -> float:

@@ -20,6 +20,8 @@ from omniman_ros.motion.whole_body.tool_timing import PathProgress, ToolTimer
 from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
 
 RIGIDITY_TOLERANCE = 1e-6  #: Largest deviation of an element of R R^T from the identity
+#: Number of decimals of poses in the frame of the platform's start: a picometre
+DECIMALS = 12
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,9 @@ class ToolPlanner:
         frame = planar_transform(start[:3])
         tool = self._model.forward(start)
         inverse = np.linalg.inv(frame)
-        path = ToolCurve(inverse @ np.concatenate([tool[None], poses]), self._options, frame)
+        # Without the round-off of the rotation, which would decide where two choices are equal.
+        seen = np.round(inverse @ np.concatenate([tool[None], poses]), DECIMALS)
+        path = ToolCurve(seen, self._options, frame)
         local = np.concatenate([np.zeros(3), start[3:]])
         self._resolver.signs(local[3:])  # raises on a singularity, where there is no branch
         branch = self._model.arm.branch_of(local[3:])
