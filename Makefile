@@ -75,7 +75,7 @@ docs: $(DOCUMENTING) ## Build the documentation in docs/_build/html
 venv: $(TESTING) ## Make .venv with all that is needed
 
 clean: ## Remove .venv and what the tools leave behind
-	rm -rf $(VENV) build docs/_build docs/api docs/examples docs/changelog.md *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build docs/_build docs/examples docs/changelog.md *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(EMPTY):

@@ -9,8 +9,8 @@ Directives:
 * ``listening-sockets``: the table of sockets on which the robot listens.
 * ``figures NAME``: the table of ``results/NAME.json``.
 
-Before the build, the pages of the API reference, one per package, are written to ``api/``, a page
-for each example to ``examples/``, and the changelog is copied from the root of the repository.
+Before the build, a page for each example is written to ``examples/``, and the changelog is copied
+from the root of the repository.
 """
 
 import ast
@@ -32,8 +32,6 @@ from sphinx.config import Config
 from sphinx.ext.autodoc.mock import mock
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
-
-PACKAGE = "omniman_ros"
 
 OPTIONAL = [
     "action_msgs",
@@ -70,9 +68,6 @@ OPTIONAL = [
     "websockets",
 ]
 """Libraries that are replaced by stand-ins where they are not installed."""
-
-LEFT_OUT = ("lab",)
-"""Packages that the API reference leaves out: they are no part of the product."""
 
 
 class Table(SphinxDirective):
@@ -198,36 +193,6 @@ def add_stand_ins(app: Sphinx, config: Config) -> None:
     config.autodoc_mock_imports = sorted({*config.autodoc_mock_imports, *missing})
 
 
-def write_api_pages(app: Sphinx) -> None:
-    """Write a page for each package: its modules, and links to the packages in it."""
-    import omniman_ros
-
-    root = Path(omniman_ros.__file__).resolve().parent
-    folder = Path(app.srcdir, "api")
-    folder.mkdir(exist_ok=True)
-    pages = {}
-    for init in sorted(root.rglob("__init__.py")):
-        package = init.parent
-        if package.relative_to(root).parts[:1] in [(name,) for name in LEFT_OUT]:
-            continue
-        name = ".".join([PACKAGE, *package.relative_to(root).parts])
-        modules = [name] + [
-            f"{name}.{path.stem}"
-            for path in sorted(package.glob("*.py"))
-            if path.stem not in ("__init__", "__main__")
-        ]
-        below = [
-            f"{name}.{path.parent.name}"
-            for path in sorted(package.glob("*/__init__.py"))
-            if path.parent.name not in LEFT_OUT
-        ]
-        pages[name] = "\n".join(_api_page(name, modules, below))
-    for stale in set(folder.glob("*.rst")) - {folder / f"{name}.rst" for name in pages}:
-        stale.unlink()
-    for name, text in pages.items():
-        _write(folder / f"{name}.rst", text)
-
-
 def copy_changelog(app: Sphinx) -> None:
     """Copy the changelog to the pages, or say where it is if the sources are elsewhere."""
     import omniman_ros
@@ -303,21 +268,6 @@ def _write(path: Path, text: str) -> None:
     """Write a page if its text has changed, so that Sphinx does not read it again in vain."""
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
-
-
-def _api_page(name: str, modules: list[str], below: list[str]) -> Iterator[str]:
-    title = "API reference" if name == PACKAGE else name
-    yield from (title, "=" * len(title), "")
-    if below:
-        yield from (".. toctree::", "   :maxdepth: 1", "")
-        yield from (f"   {package}" for package in below)
-        yield ""
-    for module in modules:
-        if module == PACKAGE:  # its names have pages of their own, in python/
-            continue
-        if module != name:
-            yield from (module, "-" * len(module), "")
-        yield from (f".. automodule:: {module}", "")
 
 
 SECTION = re.compile(r"(Args|Arguments|Attributes|Example|Examples|Note|Raises|Returns|Yields):$")
@@ -410,7 +360,7 @@ def _escaped(line: str) -> str:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Register the directives and the writer of the API pages."""
+    """Register the directives and the writers of pages."""
     app.add_directive("parameters", Parameters)
     app.add_directive("robot-parameters", RobotParameters)
     app.add_directive("lab", Lab)
@@ -418,7 +368,6 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("listening-sockets", ListeningSockets)
     app.add_directive("figures", Figures)
     app.connect("config-inited", add_stand_ins)
-    app.connect("builder-inited", write_api_pages)
     app.connect("builder-inited", write_example_pages)
     app.connect("builder-inited", copy_changelog)
     # Before napoleon, which makes markup of its own.
