@@ -59,9 +59,9 @@ class RobotModel:
                 the package has a parameter of that name.
             GeometryError: The wheels do not make an omnidirectional platform.
         """
-        for sentence in unknown_names(values):
-            unknown = next(key for key in sorted(values) if f"'{key}'" in sentence)
-            raise ParameterError(unknown, values[unknown], sentence)
+        for unknown, value in values.items():
+            for sentence in unknown_names([unknown]):
+                raise ParameterError(unknown, value, sentence)
         model = cls(
             name=name,
             values=MappingProxyType(dict(values)),

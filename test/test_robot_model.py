@@ -30,6 +30,7 @@ def test_a_changed_value_is_in_every_set_that_has_it():
     ("values", "error", "text"),
     [
         ({"horizon.stepps": 10}, om.ParameterError, "did you mean 'horizon.steps'"),
+        ({"wheels.radus": 0.1}, om.ParameterError, "'wheels.radus' = 0.1 is refused"),
         ({"wheels.radius": [-0.1]}, om.ParameterError, "below the minimum 0.005 m"),
         ({"weights.energy": float("nan")}, om.ParameterError, "not a finite number"),
         ({"wheels.roller_angle": [1.5707]}, om.GeometryError, "cannot drive"),

@@ -57,7 +57,8 @@ class MotionError(OmnimanError):
     """A motion did not arrive; `outcome` and `reason` say how it ended instead."""
 
     def __init__(self, motion: str, result: MotionResult) -> None:
-        super().__init__(f"{motion}: {result.outcome.value}: {result.reason or 'no reason given'}")
+        reason = f": {result.reason}" if result.reason else ""
+        super().__init__(f"{motion}: {result.outcome.value}{reason}")
         self.outcome = result.outcome
         self.reason = result.reason
 

@@ -101,9 +101,10 @@ class RobotLink:
             RobotTimeoutError: It is not within `timeout` [s]; the message says what is missing.
         """
         if not self.wait(lambda: not self.missing(abilities), timeout):
+            is_alone = not self._telemetry.knows("odom")
             raise RobotTimeoutError(
-                f"no {', no '.join(self.missing(abilities))} was found within {timeout:g} s: "
-                "start `omniman up`, or set ROS_DOMAIN_ID to the robot's"
+                f"no {', no '.join(self.missing(abilities))} was found within {timeout:g} s"
+                + (": start `omniman up`, or set ROS_DOMAIN_ID to the robot's" if is_alone else "")
             )
 
     # ---- what moves -----------------------------------------------------------------------------

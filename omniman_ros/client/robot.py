@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from rclpy.node import Node
 
+    from omniman_ros.client.link import RobotLink
+
 #: What a robot is asked to be able to do unless something else is: `drive` by twists, `goal` for
 #: `go_to`, `path` for `follow`, `arm` for `move_joints`, `tool` for `move_tool`
 USUAL_ABILITIES = ("drive", "goal", "path")
@@ -77,8 +79,14 @@ class Robot:
             connection = OwnConnection(namespace, domain)
         else:
             connection = SharedConnection(node, namespace, serve)
-        self._link = connection.link
+        self._open_link = connection.link
         self._finalizer = weakref.finalize(self, connection.close)
+
+    @property
+    def _link(self) -> "RobotLink":
+        if not self._finalizer.alive:
+            raise RobotError("this client is closed: make another one")
+        return self._open_link
 
     def __enter__(self) -> Self:
         return self

@@ -64,15 +64,25 @@ def test_an_angle_beyond_the_joints_limit_is_refused_by_the_node(robot):
     assert result.outcome is Outcome.REFUSED and "elbow_joint" in result.reason
 
 
-def test_the_tool_moves_relative_to_the_robot_in_a_straight_line(robot):
+def await_plan(world, handle):
+    """Wait in real time for the planning thread, which a loop without pauses would starve."""
+    tool = world.interpolator.motions.tool
+    world.run_until(lambda: handle.feedback.state == "planning", 5.0, "the planning")
+    world._await(lambda: not tool.is_planning, "the plan")
+
+
+def test_the_tool_moves_relative_to_the_robot_in_a_straight_line(world, robot):
     start = np.array(robot.tool.value)
-    robot.move_tool(0.2, 0.1, 0.05, relative=True).wait(timeout=60.0)
+    handle = robot.move_tool(0.2, 0.1, 0.05, relative=True)
+    await_plan(world, handle)
+    handle.wait(timeout=60.0)
     assert robot.tool.value == pytest.approx(start + (0.2, 0.1, 0.05), abs=5e-3)
 
 
 def test_a_path_of_the_tool_is_cancelled(world, robot):
     handle = robot.move_tool(2.0, 0.0, 0.0, relative=True)
-    world.run_until(lambda: handle.feedback.state == "started", 20.0, "the begin")
+    await_plan(world, handle)
+    world.run_until(lambda: handle.feedback.state == "started", 5.0, "the begin")
     world.run(1.0)
     assert handle.cancel().outcome is Outcome.CANCELLED
     assert robot.twist.value == pytest.approx((0.0, 0.0, 0.0), abs=0.01)

@@ -74,7 +74,7 @@ def test_what_is_missing_is_named(robot):
     with pytest.raises(RobotTimeoutError) as raised:
         robot.wait_until_ready(0.5, needs=("drive", "tool"))
     assert "no path_interpolator or whole_body_planner with tool_pose" in str(raised.value)
-    assert "ROS_DOMAIN_ID" in str(raised.value)
+    assert "ROS_DOMAIN_ID" not in str(raised.value), "the robot is there"
 
 
 def test_a_robot_that_is_not_there_is_named(world):
@@ -85,7 +85,7 @@ def test_a_robot_that_is_not_there_is_named(world):
         robot.wait_until_ready(0.2)
     text = str(raised.value)
     assert "no platform_controller" in text and "no mpc_planner" in text
-    assert "no path_interpolator" in text
+    assert "no path_interpolator" in text and "ROS_DOMAIN_ID" in text
 
 
 def test_an_unknown_ability_is_refused(world, robot):
@@ -144,6 +144,14 @@ def test_a_client_that_moves_nothing_sends_nothing_at_its_end(world):
         world.run(0.5)
     world.run(0.5)
     assert sent == []
+
+
+def test_a_client_that_is_closed_says_so(world):
+    with client_of(world) as robot:
+        pass
+    for call in (lambda: robot.go_to(0.0, 0.0, 0.0), lambda: robot.drive(0.1, 0.0, 0.0)):
+        with pytest.raises(RobotError, match="closed"):
+            call()
 
 
 # ---- numbers ----------------------------------------------------------------------------------
