@@ -13,7 +13,6 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from omniman_ros.client.state import RobotError
-from omniman_ros.core.errors import InputError
 
 POLL_PERIOD = 0.05  #: Longest time between two looks at a condition that is waited for [s]
 
@@ -52,7 +51,7 @@ class SharedNode:
             with self.lock:
                 try:
                     handler(message)
-                except InputError as error:  # a message of nonsense is as none
+                except (ValueError, OverflowError) as error:  # a message of nonsense is as none
                     text = f"{topic}: {error}"
                     self.node.get_logger().warning(text, throttle_duration_sec=5.0)
                 self.lock.notify_all()

@@ -3,6 +3,7 @@
 import math
 from typing import Any
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
@@ -13,10 +14,12 @@ from std_msgs.msg import String
 from omniman_ros.client.shared_node import SharedNode
 from omniman_ros.client.state import BodyTwist, PlanarPose, Reading
 from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
+from omniman_ros.core import plausible
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, STOP_STATE
 
 REST_SPEED = 0.01  #: Speed below which a platform stands [m/s]
 REST_TIME = 200_000_000  #: Time without a higher speed after which a robot stands [ns]
+TIME_JUMP = 1_000_000_000  #: Step back from which the robot's time counts as set back [ns]
 REST_RATE = 0.02  #: Rate below which a platform and an arm's joint stand [rad/s]
 
 
@@ -54,10 +57,11 @@ class Telemetry:
         """Return a stamp that no other message has had: the robot's time, or one just after it.
 
         It is that of the latest `odom`. So it is right for robots on simulated time, too, and on
-        another machine.
+        another machine. A time that went back is the robot's time from then on.
         """
         now = self._odom_stamp or self._shared.node.get_clock().now().nanoseconds
-        self._newest_stamp = max(now, self._newest_stamp + 1)
+        went_back = self._newest_stamp - now > TIME_JUMP
+        self._newest_stamp = now if went_back else max(now, self._newest_stamp + 1)
         return Time(nanoseconds=self._newest_stamp).to_msg()
 
     @property
@@ -70,21 +74,26 @@ class Telemetry:
 
     def _on_odom(self, message: Odometry) -> None:
         position = message.pose.pose.position
+        plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
         heading = yaw_from_quaternion(message.pose.pose.orientation)
         vx, vy, wz = twist_array(message.twist.twist).tolist()
+        self._odom_stamp = Time.from_msg(message.header.stamp).nanoseconds
         self._hear("odom", PlanarPose(position.x, position.y, heading))
         self._hear("twist", BodyTwist(vx, vy, wz))
-        self._odom_stamp = Time.from_msg(message.header.stamp).nanoseconds
         rests = math.hypot(vx, vy) < REST_SPEED and abs(wz) < REST_RATE
         if not rests or any(abs(rate) > REST_RATE for rate in self._rates):
             self._moved_at = self._odom_stamp
 
     def _on_arm(self, message: JointState) -> None:
+        numbers = [*message.position, *message.velocity]
+        plausible.demand(np.array(numbers), plausible.ANGLE, "positions and velocities")
         self._rates = list(message.velocity)
         self._hear("arm/joint_states", dict(zip(message.name, message.position, strict=False)))
 
     def _on_tool(self, message: PoseStamped) -> None:
         position = message.pose.position
+        numbers = [position.x, position.y, position.z]
+        plausible.demand(np.array(numbers), plausible.LENGTH, "position")
         self._hear("tool_pose", (position.x, position.y, position.z))
 
     def _on_source(self, message: String) -> None:
