@@ -45,10 +45,8 @@ def test_every_name_is_imported_without_ros():
 def test_type_checkers_and_the_interpreter_see_the_same_names():
     tree = ast.parse(Path(om.__file__).read_text(encoding="utf-8"))
     block = next(node for node in tree.body if isinstance(node, ast.If))
-    seen = {
-        alias.asname: node.module for node in ast.walk(block)
-        if isinstance(node, ast.ImportFrom) for alias in node.names
-    }  # fmt: skip
+    imports = [node for node in ast.walk(block) if isinstance(node, ast.ImportFrom)]
+    seen = {alias.asname: node.module for node in imports for alias in node.names}
     assert seen == {name: f"omniman_ros.{module}" for name, module in om._MODULES.items()}
 
 
