@@ -14,6 +14,9 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.client.state import RobotError
 
+#: Shortest time that is waited for [s]: no clock moves by less, which rounding leaves. A float of
+#: seconds since 1970 resolves 0.2 us.
+RESOLUTION = 1e-6
 POLL_PERIOD = 0.05  #: Longest time between two looks at a condition that is waited for [s]
 
 
@@ -105,7 +108,7 @@ class SharedNode:
                 if self._failure is not None:
                     raise RobotError(f"no connection: {self._failure}") from self._failure
                 remaining = min(end - now(), POLL_PERIOD)
-                if remaining <= 0.0:
+                if remaining < RESOLUTION:
                     return False
                 if self._serve is None:
                     self.lock.wait(remaining)

@@ -18,13 +18,18 @@ from test.nodes.test_mpc_planner import PlannerWithRealController
 DISCOVERY = 20.0  #: Longest time that a test gives the middleware [s]
 
 
+def serve(world):
+    """Return a function that steps a world for a time [s], at least by its period."""
+    return lambda seconds: world.run(max(seconds, PERIOD))
+
+
 @contextmanager
 def client_of(world, needs=("drive", "goal", "path")):
     """Yield a client on the probe of a world, which steps the world while it waits.
 
     All endpoints have discovered each other: messages take no time.
     """
-    with Robot(node=world.probe, serve=lambda seconds: world.run(max(seconds, PERIOD))) as robot:
+    with Robot(node=world.probe, serve=serve(world)) as robot:
         robot.wait_until_ready(DISCOVERY, needs)
         world.match_endpoints(world.probe)
         yield robot
@@ -79,7 +84,7 @@ def test_what_is_missing_is_named(robot):
 
 def test_a_robot_that_is_not_there_is_named(world):
     with (
-        Robot("elsewhere", world.probe, serve=world.run) as robot,
+        Robot("elsewhere", world.probe, serve=serve(world)) as robot,
         pytest.raises(RobotTimeoutError) as raised,
     ):
         robot.wait_until_ready(0.2)
