@@ -113,6 +113,7 @@ def test_time_waits_for_a_controller_that_is_stopped_and_the_arm_goes_on(robot):
 def test_an_arm_that_is_moved_into_a_table_is_stopped(robot):
     robot.move(0.0, 1.0, 0.0, -1.57, -1.57, 0.0)
     robot.until(lambda: "protective stop: collision detected" in robot.log(), "the stop")
+    robot.until(lambda: robot.touched, "the contact")
     assert robot.touched[0]["thing"] == "table"
     end = robot.time + 0.5
     robot.until(lambda: robot.time > end, "half a second")
