@@ -10,6 +10,7 @@ Three ways lead to an installation, and each puts the executables where its user
   ament index, no share/. The package still finds its shared files, in the source tree (share.py).
 """
 
+import re
 from glob import glob
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from setuptools import find_packages, setup
 from distutils.command.install_data import install_data  # isort: skip  (setuptools provides it)
 
 NAME = "omniman_ros"
+HERE = Path(__file__).parent
 
 EXECUTABLES = {
     "omniman": "omniman_ros.cli.main:main",
@@ -81,6 +83,12 @@ class InstallDataAndStubs(install_data):
             self.outfiles.append(str(stub))
 
 
+def version() -> str:
+    """Version of the package, which package.xml has: tools of ROS raise it there."""
+    (text,) = re.findall("<version>(.*)</version>", (HERE / "package.xml").read_text())
+    return str(text)
+
+
 def data_files() -> list[tuple[str, list[str]]]:
     """Pairs of a folder of the installation and the files that go there."""
     marker = ("share/ament_index/resource_index/packages", [f"resource/{NAME}"])
@@ -93,8 +101,10 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=version(),
     description="Motion control of a mobile manipulator on Mecanum or Omni wheels",
+    long_description=(HERE / "README.md").read_text(),
+    long_description_content_type="text/markdown",
     maintainer="omniman_ros developers",
     maintainer_email="omniman_ros@example.org",
     license="Apache-2.0",
@@ -108,6 +118,7 @@ setup(
     # rclpy and the messages stay out: a ROS machine has its own. lark-parser is the name under
     # which ROS's wheels ask for the parser generator: "lark" would overwrite its files.
     install_requires=[
+        "argcomplete",
         "canopen",
         "casadi",
         "lark-parser",

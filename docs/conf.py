@@ -2,7 +2,9 @@
 
 import importlib.util
 import os
+import re
 import sys
+from importlib.metadata import version as installed_version
 from pathlib import Path
 
 HERE = Path(globals().get("__file__", "conf.py")).resolve().parent
@@ -16,15 +18,19 @@ def _is_installed(module: str) -> bool:
 # rosdoc2 copies this folder elsewhere: the package is then where the arguments of rosdoc2 or the
 # working directory point to, or it is installed.
 _starts = [HERE, *map(Path, sys.argv[1:]), Path(os.environ.get("PWD", "."))]
+version = ""
 for _folder in (folder for start in _starts for folder in (start, *start.resolve().parents)):
     if (_folder / "omniman_ros" / "__init__.py").is_file():
         sys.path.insert(0, str(_folder.resolve()))
+        (version,) = re.findall(
+            "<version>(.*)</version>", (_folder / "package.xml").read_text(encoding="utf-8")
+        )
         break
 
 project = "omniman_ros"
 author = "omniman_ros developers"
 copyright = "omniman_ros developers, Apache-2.0"
-version = release = "0.1.0"
+version = release = version or installed_version(project)
 
 extensions = [
     "myst_parser",

@@ -11,13 +11,17 @@ from pathlib import Path
 
 import pytest
 import setuptools
+import yaml
 from catkin_pkg.package import parse_package
+
+from omniman_ros.cli.commands import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted(ROOT.glob("omniman_ros/**/*.py"))
 
 # Module and rosdep key of each Python distribution.
 DISTRIBUTIONS = {
+    "argcomplete": ("argcomplete", "python3-argcomplete"),
     "numpy": ("numpy", "python3-numpy"),
     "PyYAML": ("yaml", "python3-yaml"),
     "python-can": ("can", "python3-can"),
@@ -94,6 +98,19 @@ def test_the_changelog_has_the_version(setup_py):
     )
 
 
+def test_a_citation_has_the_version_of_the_package(package_xml):
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert citation["version"] == package_xml.version
+    assert citation["license"] == package_xml.licenses[0]
+
+
+def test_a_bug_report_asks_for_commands_that_exist():
+    report = yaml.safe_load((ROOT / ".github/ISSUE_TEMPLATE/bug_report.yml").read_text())
+    text = " ".join(str(part["attributes"]) for part in report["body"])
+    named = set(re.findall(r"\bomniman ([a-z]+)", text))
+    assert {"info", "status", "record"} == named <= set(COMMANDS)
+
+
 def test_required_distributions_are_in_package_xml(package_xml, setup_py):
     keys = {depend.name for depend in package_xml.exec_depends}
     for distribution in setup_py["arguments"]["install_requires"]:
@@ -104,10 +121,9 @@ def test_required_distributions_are_in_package_xml(package_xml, setup_py):
 def test_the_documentation_names_the_keys_of_rosdep_and_what_ubuntu_needs_for_them(package_xml):
     keys = {depend.name for depend in package_xml.exec_depends if depend.name.endswith("-pip")}
     assert keys == {"canopen-pip", "casadi-pip", "python3-rosbags-pip"}
-    for page in (ROOT / "README.md", ROOT / "docs" / "ros.md"):
-        text = page.read_text()
-        assert all(f"`{key}`" in text for key in keys), page
-        assert "PIP_BREAK_SYSTEM_PACKAGES=1 rosdep install" in text, page
+    text = (ROOT / "docs" / "ros.md").read_text()
+    assert all(f"`{key}`" in text for key in keys)
+    assert "PIP_BREAK_SYSTEM_PACKAGES=1 rosdep install" in text
 
 
 def test_the_wheels_of_rclpy_are_not_required(setup_py):

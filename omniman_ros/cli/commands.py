@@ -1,4 +1,4 @@
-"""The commands of `omniman`: module, help text and arguments of each."""
+"""The commands of `omniman`: module, help text, arguments and examples of each."""
 
 import argparse
 from collections.abc import Callable
@@ -27,71 +27,116 @@ class Subcommand(NamedTuple):
     help: str  #: Help text, without a capital and a full stop
     #: Adds the command's arguments to its parser
     add_arguments: Callable[[argparse.ArgumentParser], None]
+    examples: tuple[str, ...]  #: Arguments of complete command lines, shown at the end of the help
 
 
 COMMANDS = {
     "up": Subcommand(
-        "omniman_ros.cli.up", "start the nodes; Ctrl-C stops the robot and ends them", add_up
+        "omniman_ros.cli.up",
+        "start the nodes; Ctrl-C stops the robot and ends them",
+        add_up,
+        ("up --world hall --obstacle-tracker", "up --robot mine.yaml -p drive.mode:=torque"),
     ),
     "teleop": Subcommand(
         "omniman_ros.cli.teleop",
         "drive with the keyboard: hold a key to drive, release it to stop",
         add_teleop,
+        ("teleop", "teleop --linear 0.5 --angular 1.0"),
     ),
     "goal": Subcommand(
         "omniman_ros.cli.motion",
         "send the robot to a goal among obstacles; Ctrl-C cancels",
         add_goal,
+        ("goal 2 1 90", "goal 0.5 0 --relative"),
     ),
     "tool": Subcommand(
         "omniman_ros.cli.motion",
         "move the tool along a straight line to a position; Ctrl-C cancels",
         add_tool,
+        ("tool 2 0.3 0.9", "tool 2 0 0.1 --relative"),
     ),
     "stop": Subcommand(
         "omniman_ros.cli.stop_reset",
         "stop every node that moves something, until it is reset",
         add_stop,
+        ("stop", "stop --namespace robot_1"),
     ),
     "reset": Subcommand(
-        "omniman_ros.cli.stop_reset", "release stopped nodes; moves nothing by itself", add_stop
+        "omniman_ros.cli.stop_reset",
+        "release stopped nodes; moves nothing by itself",
+        add_stop,
+        ("reset", "reset --namespace robot_1"),
     ),
     "record": Subcommand(
-        "omniman_ros.cli.record", "record the robot's topics as a rosbag2 recording", add_record
+        "omniman_ros.cli.record",
+        "record the robot's topics as a rosbag2 recording",
+        add_record,
+        ("record", "record odom wheel_states --duration 20 --output drive"),
     ),
     "plot": Subcommand(
-        "omniman_ros.cli.plot", "draw the standard figures from a recording", add_plot
+        "omniman_ros.cli.plot",
+        "draw the standard figures from a recording",
+        add_plot,
+        ("plot recording", "plot recording --show"),
     ),
     "film": Subcommand(
-        "omniman_ros.cli.film", "draw a film of a drive from a recording", add_film
+        "omniman_ros.cli.film",
+        "draw a film of a drive from a recording",
+        add_film,
+        ("film recording", "film recording --output drive.webp --size 3"),
     ),
     "demo": Subcommand(
         "omniman_ros.demo.command",
         "drive a simulated robot and measure it, in a minute and a half",
         add_demo,
+        ("demo --keep", "demo --robot mine.yaml --world none"),
     ),
     "identify": Subcommand(
-        "omniman_ros.cli.identify", "measure properties of the robot by driving it", add_identify
+        "omniman_ros.cli.identify",
+        "measure properties of the robot by driving it",
+        add_identify,
+        ("identify odometry --simulate", "identify friction --help"),
     ),
     "parameters": Subcommand(
-        "omniman_ros.cli.parameters", "list the parameters of the nodes", add_node_parameters
+        "omniman_ros.cli.parameters",
+        "list the parameters of the nodes",
+        add_node_parameters,
+        ("parameters mpc_planner", "parameters"),
     ),
     "urdf": Subcommand(
-        "omniman_ros.cli.urdf", "print the robot's description for RViz and MoveIt", add_urdf
+        "omniman_ros.cli.urdf",
+        "print the robot's description for RViz and MoveIt",
+        add_urdf,
+        ("urdf --output omniman.urdf", "urdf --robot mine.yaml"),
     ),
     "moveit": Subcommand(
-        "omniman_ros.cli.moveit", "write the configuration of MoveIt for the robot", add_moveit
+        "omniman_ros.cli.moveit",
+        "write the configuration of MoveIt for the robot",
+        add_moveit,
+        ("moveit", "moveit --robot mine.yaml --output src/mine_moveit_config"),
     ),
     "nav2": Subcommand(
-        "omniman_ros.cli.nav2", "write the parameters of Nav2 for the robot", add_nav2
+        "omniman_ros.cli.nav2",
+        "write the parameters of Nav2 for the robot",
+        add_nav2,
+        ("nav2 --output nav2.yaml", "nav2 --robot mine.yaml --keepout"),
     ),
-    "map": Subcommand("omniman_ros.cli.scene_map", "write a scene as a map for Nav2", add_map),
+    "map": Subcommand(
+        "omniman_ros.cli.scene_map",
+        "write a scene as a map for Nav2",
+        add_map,
+        ("map workshop", "map workshop --resolution 0.02 --output maps/workshop"),
+    ),
     "reproduce": Subcommand(
         "omniman_ros.lab.command",
         "repeat a paper's experiment in simulation",
         add_reproduce,
+        ("reproduce coupling --quick", "reproduce scenes --help"),
     ),
     "bench": Subcommand(
-        "omniman_ros.lab.command", "measure the performance of the control", add_bench
+        "omniman_ros.lab.command",
+        "measure the performance of the control",
+        add_bench,
+        ("bench control --quick", "bench clutter --help"),
     ),
 }  #: Commands by name, in the order in which the help lists them

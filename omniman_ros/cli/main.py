@@ -5,9 +5,11 @@ A command's own module, and rclpy and NumPy with it, is imported only when the c
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 
+from omniman_ros.cli.arguments.common import add_examples
 from omniman_ros.cli.commands import COMMANDS
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say, write_output
@@ -32,7 +34,7 @@ class VersionAction(argparse.Action):
         try:
             text = version("omniman_ros")
         except PackageNotFoundError:
-            text = "(not installed, the version is in setup.py)"
+            text = "(not installed, the version is in package.xml)"
         write_output(f"omniman {text}\n")
         parser.exit()
 
@@ -50,17 +52,27 @@ def make_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
         description = command.help[0].upper() + command.help[1:] + "."
-        command.add_arguments(
-            commands.add_parser(
-                name, help=command.help, description=description, allow_abbrev=False
-            )
+        own = commands.add_parser(
+            name, help=command.help, description=description, allow_abbrev=False
         )
+        command.add_arguments(own)
+        add_examples(own, command.examples)
     return parser
+
+
+def complete(parser: argparse.ArgumentParser) -> None:
+    """Answer a shell that asks for the completions of a command line, and end then."""
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command of `omniman`, and return its exit code."""
-    args = make_parser().parse_args(arguments)
+    parser = make_parser()
+    complete(parser)
+    args = parser.parse_args(arguments)
     try:
         command = importlib.import_module(COMMANDS[args.command].module)
     except ModuleNotFoundError as error:

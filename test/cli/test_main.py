@@ -1,9 +1,12 @@
+import argparse
+import os
+import shlex
 import subprocess
 import sys
 
 import pytest
 
-from omniman_ros.cli.main import COMMANDS, main
+from omniman_ros.cli.main import COMMANDS, main, make_parser
 from omniman_ros.nodes.registry import NODES
 from omniman_ros.processes import robot_setup
 from test.running import command
@@ -34,6 +37,54 @@ def test_help_imports_nothing_heavy():
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.count("usage: omniman") == len(arguments)
+
+
+def parsers(parser):
+    """Yield a parser and all parsers of its subcommands."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from parsers(below)
+
+
+def test_each_help_ends_with_two_examples_that_are_valid():
+    top, *others = parsers(make_parser())
+    assert len(others) > len(COMMANDS)
+    for parser in others:
+        head, *examples = parser.format_help().partition("examples:")[2].splitlines()
+        assert not head and len(examples) == 2, parser.prog
+        for example in examples:
+            program, *arguments = shlex.split(example)
+            assert program == "omniman" and example.strip().startswith(parser.prog), example
+            if "--help" not in arguments:
+                top.parse_args(arguments)
+
+
+@pytest.mark.parametrize(
+    ("line", "completions"),
+    [
+        ("omniman ider", set()),
+        ("omniman ide", {"identify"}),
+        ("omniman bench cl", {"clutter"}),
+        (
+            "omniman bench clutter --",
+            {"--help", "--quick", "--results", "--worlds", "--jobs", "--seed"},
+        ),
+        ("omniman parameters mpc", {"mpc_planner"}),
+    ],
+)
+def test_a_shell_completes_a_command_line(line, completions, tmp_path):
+    answers = tmp_path / "answers"
+    asked = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answers),
+        "_ARGCOMPLETE_IFS": "\n",
+    }
+    position = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "COMP_TYPE": "9"}
+    program = [sys.executable, "-m", "omniman_ros.cli.main"]
+    assert subprocess.run(program, env={**os.environ, **asked, **position}).returncode == 0
+    assert {answer.strip() for answer in answers.read_text().split("\n")} - {""} == completions
 
 
 def test_version_is_printed(capsys):

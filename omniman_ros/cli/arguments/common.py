@@ -1,15 +1,25 @@
 """Arguments that several commands share."""
 
 import argparse
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 
 from omniman_ros.processes.arm_options import ARMS
 from omniman_ros.processes.drive_options import DRIVES
 
 #: Help text of `--robot`, to which each command adds its default
 ROBOT_HELP = "a robot of the package (omniman, ig42) or the path of its .yaml file"
+HELP_WIDTH = 79  #: Longest line of a description in help
 #: Help text of `--param` of commands that start nodes
 PARAMETER_HELP = "a parameter, set on every node; may be repeated"
+
+
+def add_examples(parser: argparse.ArgumentParser, examples: Iterable[str]) -> None:
+    """End a parser's help with examples, each the arguments of a complete command line."""
+    lines = [f"  omniman {example}\n" for example in examples]
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter  # which fills no lines
+    parser.description = textwrap.fill(parser.description or "", HELP_WIDTH)
+    parser.epilog = "examples:\n" + "".join(lines)
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:

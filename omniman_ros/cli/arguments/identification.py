@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from omniman_ros.cli.arguments.common import (
     ROBOT_HELP,
+    add_examples,
     add_namespace,
     add_parameters,
     add_results,
@@ -23,6 +24,10 @@ def add_identify(parser: argparse.ArgumentParser) -> None:
         subject.add_argument("--verbose", action="store_true", help="show the output of the nodes")
         add_namespace(subject, "namespace of the robot")
         add_results(subject)
+        run = f"identify {name}"
+        add_examples(
+            subject, (f"{run} --simulate", f"{run} --runs results/identify_{name}_runs.json")
+        )
 
 
 def add_odometry(parser: argparse.ArgumentParser) -> None:

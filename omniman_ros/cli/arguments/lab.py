@@ -3,7 +3,12 @@
 import argparse
 from collections.abc import Mapping
 
-from omniman_ros.cli.arguments.common import ROBOT_HELP, add_parameters, add_results
+from omniman_ros.cli.arguments.common import (
+    ROBOT_HELP,
+    add_examples,
+    add_parameters,
+    add_results,
+)
 from omniman_ros.lab.registry import BENCHMARKS, EXPERIMENTS, Study
 
 EFFORTS = {"quick": "take a few samples only, to see that it runs", "full": "measure more"}
@@ -11,15 +16,15 @@ EFFORTS = {"quick": "take a few samples only, to see that it runs", "full": "mea
 
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Add the benchmarks of `omniman bench`, each with its options."""
-    _add(parser, BENCHMARKS)
+    _add(parser, "bench", BENCHMARKS)
 
 
 def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Add the experiments of `omniman reproduce`, each with its options."""
-    _add(parser, EXPERIMENTS)
+    _add(parser, "reproduce", EXPERIMENTS)
 
 
-def _add(parser: argparse.ArgumentParser, studies: Mapping[str, Study]) -> None:
+def _add(parser: argparse.ArgumentParser, command: str, studies: Mapping[str, Study]) -> None:
     names = parser.add_subparsers(dest="name", metavar="NAME", required=True)
     for name, study in studies.items():
         text = study.about[0].upper() + study.about[1:] + "."
@@ -35,3 +40,5 @@ def _add(parser: argparse.ArgumentParser, studies: Mapping[str, Study]) -> None:
             own.add_argument(flag, **settings)
         if study.parameters:
             add_parameters(own)
+        run = f"{command} {name}"
+        add_examples(own, (f"{run} --{study.efforts[0]}", f"{run} --results {name}_today"))
