@@ -32,11 +32,8 @@ def test_every_command_has_a_module_and_shows_its_own_options_only(kind, name, c
 
 
 @pytest.mark.parametrize("kind", ["bench", "reproduce"])
-def test_readme_and_page_name_every_command(kind):
+def test_the_page_of_commands_names_all_of_them(kind):
     names = BENCHMARKS if kind == "bench" else EXPERIMENTS
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    row = next(line for line in readme.splitlines() if line.startswith(f"| `omniman {kind}`"))
-    assert set(re.findall(r"`(\w+)`", row)) == set(names)
     assert f"```{{lab}} {kind}" in (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     assert [line.split("`")[1] for line in registry.markdown(kind) if "`" in line] == [
         f"omniman {kind} {name}" for name in names
