@@ -57,11 +57,13 @@ def draw_demo(demo: Demo, recording: DemoRecording, path: Path) -> Path:
     tool = tool_track(recording, demo.model, demo.tool) if demo.model and demo.tool else None
     start = demo.twists[0].start
     with figure_style(axes_titlesize=10, legend_fontsize=9, lines_linewidth=1.2):
-        count = 3 + bool(recording.arm) + (tool is not None)
-        figure = plt.figure(figsize=(11, 2.0 * count), layout="constrained")
-        grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1))
-        _draw_top_view(figure.add_subplot(grid[:, 0]), demo, recording, tool)
-        panels = [figure.add_subplot(grid[i, 1]) for i in range(count)]
+        below = 1 + bool(recording.arm) + (tool is not None)
+        figure = plt.figure(figsize=(13, 8.6), layout="constrained")
+        grid = figure.add_gridspec(3, 6)  # the top view, two panels beside it, the others below
+        _draw_top_view(figure.add_subplot(grid[:2, :4]), demo, recording, tool)
+        places = [grid[0, 4:], grid[1, 4:]]
+        places += [grid[2, 6 // below * i : 6 // below * (i + 1)] for i in range(below)]
+        panels = [figure.add_subplot(place) for place in places]
         _draw_twist(panels[0], odom, start)
         _draw_coupling(panels[1], np.array(recording.coupling), start)
         _draw_tracking(panels[2], odom, Reference(recording.reference), demo, start)
@@ -73,10 +75,18 @@ def draw_demo(demo: Demo, recording: DemoRecording, path: Path) -> Path:
             for begin, end in _driven_spans(demo):
                 axes.axvspan(begin - start, end - start, color=BAND, zorder=0, lw=0)
             axes.set_xlim(0.0, odom[-1, 0] - start)
-        for axes in panels[:-1]:
-            axes.tick_params(labelbottom=False)
-        panels[-1].set_xlabel("time [s]")
+        panels[0].tick_params(labelbottom=False)
+        for axes in panels[1:]:
+            axes.set_xlabel("time [s]")
         return save_figure(figure, path)
+
+
+def _draw_legend(axes: Any) -> None:
+    """Draw a legend in a line between the title and the axes, where it covers no curve."""
+    count = len(axes.get_legend_handles_labels()[1])
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    axes.legend(ncols=count, handlelength=1.2, columnspacing=1.0, borderpad=0.0, **place)
+    axes.set_title(axes.get_title(loc="left"), pad=20.0)
 
 
 def _driven_spans(demo: Demo) -> list[tuple[float, float]]:
@@ -110,13 +120,13 @@ def _draw_top_view(
     for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
         _draw_outline(axes, demo.robot, odom[i, 1:4], alpha=0.5)
     _draw_robot(axes, demo.robot, odom[-1, 1:4])
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")
     axes.set_title("Path of the platform in odom")
     axes.set_xlabel("← y [m]")
     axes.set_ylabel("x [m] →")
     axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
     axes.grid(color=FAINT, lw=0.4)
-    axes.legend(loc="best", ncols=2, framealpha=0.9)
+    _draw_legend(axes)
 
 
 def _draw_tool_path(axes: Any, tool: ToolTrack) -> None:
@@ -215,7 +225,7 @@ def _draw_twist(axes: Any, odom: Array, start: float) -> None:
     for column, name, colour in series:
         axes.plot(odom[:, 0] - start, odom[:, column], color=colour, label=name)
     axes.set_title("Twist in base_link, from the encoders")
-    axes.legend(ncols=3, loc="lower left")
+    _draw_legend(axes)
 
 
 def _draw_coupling(axes: Any, coupling: Array, start: float) -> None:
@@ -239,7 +249,7 @@ def _draw_arm(axes: Any, arm: Array, start: float) -> None:
     for column in range(1, arm.shape[1]):
         axes.plot(arm[:, 0] - start, arm[:, column] - arm[0, column], label=str(column))
     axes.set_title("Measured joint angles, relative to the start [rad]")
-    axes.legend(ncols=6, loc="lower left")
+    _draw_legend(axes)
 
 
 def _draw_tool(axes: Any, tool: ToolTrack, start: float) -> None:
@@ -248,4 +258,4 @@ def _draw_tool(axes: Any, tool: ToolTrack, start: float) -> None:
     axes.plot(times, 1e3 * tool.true_errors, color=TRUTH, lw=1.0, ls=DASHED, label="ground truth")
     axes.set_title("Tracking error of the tool [mm]")
     axes.set_ylim(bottom=0.0)
-    axes.legend(loc="upper left")
+    _draw_legend(axes)
