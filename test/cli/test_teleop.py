@@ -22,8 +22,7 @@ def test_twists_are_published_while_a_key_is_held_then_zeros_then_nothing(own_do
     """At 20 Hz while it is held, a few zeros after it, then silence; a zero at the end."""
     received = []
     message_type = TwistStamped if stamped else Twist
-    options = ["--stamped"] if stamped else []
-    with Session("probe") as session, terminal(own_domain, *options) as teleop:
+    with Session("probe") as session, terminal(own_domain) as teleop:
         session.node.create_subscription(
             message_type, "cmd_vel", lambda m: received.append((time.monotonic(), m)), 100
         )

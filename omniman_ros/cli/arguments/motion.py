@@ -13,11 +13,6 @@ def add_teleop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--angular", type=float, default=0.6, help="yaw rate [rad/s]; default: %(default)s"
     )
-    parser.add_argument(
-        "--stamped",
-        action="store_true",
-        help="not needed any more: what the controller subscribes to is published",
-    )
     add_namespace(parser, "namespace of the robot")
 
 
