@@ -15,7 +15,7 @@ from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
 from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record
-from omniman_ros.cli.arguments.robot import add_demo, add_up
+from omniman_ros.cli.arguments.robot import add_demo, add_info, add_up
 
 
 class Subcommand(NamedTuple):
@@ -96,6 +96,12 @@ COMMANDS = {
         "measure properties of the robot by driving it",
         add_identify,
         ("identify odometry --simulate", "identify friction --help"),
+    ),
+    "info": Subcommand(
+        "omniman_ros.cli.info",
+        "print versions, settings and the robot, for a report of a bug",
+        add_info,
+        ("info", "info --robot mine.yaml"),
     ),
     "parameters": Subcommand(
         "omniman_ros.cli.parameters",

@@ -1,4 +1,4 @@
-"""Arguments of the commands that start a robot: `omniman up` and `omniman demo`."""
+"""Arguments of the commands that start a robot or tell of it."""
 
 import argparse
 from typing import Any
@@ -93,3 +93,8 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     add_arm(parser, ("simulated", "none"))
     add_parameters(parser)
     add_results(parser)
+
+
+def add_info(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman info`."""
+    add_robot(parser)
