@@ -15,7 +15,7 @@ from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
 from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record
-from omniman_ros.cli.arguments.robot import add_demo, add_info, add_up
+from omniman_ros.cli.arguments.robot import add_demo, add_info, add_status, add_up
 
 
 class Subcommand(NamedTuple):
@@ -66,6 +66,12 @@ COMMANDS = {
         "release stopped nodes; moves nothing by itself",
         add_stop,
         ("reset", "reset --namespace robot_1"),
+    ),
+    "status": Subcommand(
+        "omniman_ros.cli.status",
+        "tell who drives, what is stopped and why, and what would release it",
+        add_status,
+        ("status", "status --watch --namespace robot_1"),
     ),
     "record": Subcommand(
         "omniman_ros.cli.record",

@@ -1,4 +1,4 @@
-"""`omniman goal`, `teleop`, `stop` and `reset` on one platform that the tests share.
+"""`omniman goal`, `teleop`, `stop`, `reset` and `status` on one platform that the tests share.
 
 Each test leaves the robot at rest, neither stopped nor with a goal.
 """
@@ -100,6 +100,41 @@ def test_stop_and_reset_print_a_line_about_each_node(robot):
     lines = [f"/{name}: stop done (~/stop)" for name in ("platform_controller", "simulated_drive")]
     assert sorted(stop.output.splitlines()) == lines
     assert not robot.world.controller.core.latch.released
+    with robot.start("reset") as reset:
+        assert robot.finish(reset) == 0, reset.output
+    assert robot.wait(lambda: robot.world.controller.core.latch.released)
+
+
+def test_status_tells_of_a_stop_and_what_releases_it(robot):
+    with robot.start("status") as status:
+        assert robot.finish(status) == 0, status.output
+    assert re.search(r"/simulated_drive +running", status.output)
+    assert "driven by   none" in status.output
+    with robot.start("stop") as stop:
+        assert robot.finish(stop) == 0, stop.output
+    with robot.start("status") as status:
+        assert robot.finish(status) == 1, status.output
+    assert re.search(r"/simulated_drive +STOPPED: ~/stop", status.output)
+    assert "driven by   stop" in status.output
+    assert "`omniman reset`" in status.output.splitlines()[-1]
+    with robot.start("reset") as reset:
+        assert robot.finish(reset) == 0, reset.output
+    assert robot.wait(lambda: robot.world.controller.core.latch.released)
+
+
+def test_a_watched_status_changes_with_the_robot_until_ctrl_c(robot):
+    with robot.start("status", "--watch") as status:
+
+        def tells(text):
+            status.skip_output()
+            return text in status.output
+
+        assert robot.wait(lambda: tells("driven by   none")), status.output
+        with robot.start("stop") as stop:
+            assert robot.finish(stop) == 0, stop.output
+        assert robot.wait(lambda: tells("STOPPED: ~/stop")), status.output
+        status.process.send_signal(signal.SIGINT)
+        assert robot.finish(status) == 0, status.output
     with robot.start("reset") as reset:
         assert robot.finish(reset) == 0, reset.output
     assert robot.wait(lambda: robot.world.controller.core.latch.released)

@@ -98,3 +98,11 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_info(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `omniman info`."""
     add_robot(parser)
+
+
+def add_status(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman status`."""
+    add_namespace(parser, "namespace of the robot")
+    parser.add_argument(
+        "--watch", action="store_true", help="go on, and print what changes, until Ctrl-C"
+    )
