@@ -14,6 +14,7 @@ from pathlib import Path
 import omniman_ros
 from omniman_ros.cli.installation import (
     Requirements,
+    commit_text,
     extra_text,
     installation_text,
     installed_version,
@@ -58,11 +59,13 @@ def run(args: argparse.Namespace) -> int:
     extras = [] if found is None else found.metadata.get_all("Provides-Extra") or []
     requirements = parse_requirements(lines, extras)
     robot, is_loaded = robot_rows(args.robot)
+    folder = Path(omniman_ros.__file__).parent
     sections = {
         "omniman_ros": [
             ("version", "unknown" if found is None else found.version),
             ("installed", installation_text(found, os.environ)),
-            ("runs from", str(Path(omniman_ros.__file__).parent)),
+            ("runs from", str(folder)),
+            ("commit", commit_text(folder)),
         ],
         "machine": list(machine_rows()),
         "ROS": [*ros_rows(requirements), *environment_rows(os.environ)],

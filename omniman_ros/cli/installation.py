@@ -3,12 +3,14 @@
 import json
 import os
 import re
+import subprocess
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import Distribution, PackageNotFoundError, distribution, version
 from pathlib import Path
 
 NAME = "omniman_ros"
+GIT_TIMEOUT = 5.0  #: Time that git may take [s]
 
 _REQUIREMENT = re.compile(r"[\w.-]+")
 _EXTRA = re.compile(r"extra\s*==\s*['\"]([\w.-]+)['\"]")
@@ -73,6 +75,18 @@ def own_distribution() -> Distribution | None:
         return distribution(NAME)
     except PackageNotFoundError:
         return None
+
+
+def commit_text(folder: Path) -> str:
+    """Return the commit of the checkout with a package's folder; `-dirty`: files were changed."""
+    if not (folder.parent / ".git").exists():  # that of an environment around it does not count
+        return "none: no git checkout"
+    command = ("git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*")
+    try:
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT)
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown: git does not run"
+    return ended.stdout.strip() if ended.returncode == 0 else "unknown: git refuses"
 
 
 def installation_text(found: Distribution | None, environment: Mapping[str, str]) -> str:

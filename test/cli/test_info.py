@@ -9,6 +9,7 @@ import pytest
 from omniman_ros.cli import info, installation
 from omniman_ros.cli.installation import (
     Requirements,
+    commit_text,
     extra_text,
     installation_text,
     parse_requirements,
@@ -72,6 +73,22 @@ def test_each_way_of_installation_is_told(tmp_path):
     assert installation_text(Metadata(tmp_path, WHEEL=""), {}) == f"wheel, in {tmp_path}"
     assert installation_text(Metadata(tmp_path), {}) == f"by setuptools, in {tmp_path}"
     assert installation_text(None, {}) == "not installed: it runs from its source tree"
+
+
+def test_the_commit_of_a_checkout_is_told_and_whether_files_were_changed(tmp_path, monkeypatch):
+    package = tmp_path / "omniman_ros"
+    assert commit_text(package) == "none: no git checkout"
+    git = ("git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@example.org")
+    package.mkdir()
+    (tmp_path / "file").write_text("as it was")
+    for arguments in (["init", "-q"], ["add", "file"], ["commit", "-qm", "first"]):
+        subprocess.run([*git, *arguments], check=True)
+    hash_text = commit_text(package)
+    assert len(hash_text) >= 7 and int(hash_text, 16)
+    (tmp_path / "file").write_text("changed")
+    assert commit_text(package) == f"{hash_text}-dirty"
+    monkeypatch.setenv("PATH", "")
+    assert commit_text(package) == "unknown: git does not run"
 
 
 @pytest.mark.parametrize("is_symbolic", [False, True])
