@@ -19,6 +19,7 @@ from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.arm_mass import ArmMass
 from omniman_ros.nodes.arm_configuration import ArmConfigurationInput
+from omniman_ros.nodes.journal_output import JournalOutput
 from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
@@ -55,6 +56,7 @@ class PlatformControllerNode(OmnimanNode):
         self._demand_every = max(1, round(p.control_rate / DEMAND_RATE))
         self._posture = ArmConfigurationInput(self, p.arm.joints, self._on_arm_configuration)
         self._outputs = PlatformOutputs(self, self.core, self._posture)
+        self._journal = JournalOutput(self, self.core)
         self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
         self._odometry_inputs = OdometryInputs(self, self.core, self._names, self._topics)
         self._make_inputs(p)
@@ -138,7 +140,7 @@ class PlatformControllerNode(OmnimanNode):
             self._waiting.popitem()[1]()
         command = self.core.tick(self.now())
         if command is not None:
-            self._outputs.publish_command(command)
+            self._journal.note_published(self._outputs.publish_command(command))
         if self.core.cancelled:
             self.warn("cancelled", self.core.cancelled)
         self._stop.publish()
@@ -149,6 +151,7 @@ class PlatformControllerNode(OmnimanNode):
             self._outputs.publish_demand(self._topics().base_frame)
         if self._odometry is not None:
             self._publish_odometry(self._odometry)
+        self._journal.after_tick(at_once=self._finish_tick > 0)
 
     def _publish_odometry(self, outputs: OdometryOutputs) -> None:
         feedback = self.core.feedback

@@ -68,8 +68,12 @@ class PlatformOutputs:
         message.header.stamp = STAMP
         return MessageTemplate(message)
 
-    def publish_command(self, command: WheelCommand) -> None:
-        """Publish a command to the drives: velocity and effort, or effort alone [N m or V]."""
+    def publish_command(self, command: WheelCommand) -> int:
+        """Publish a command to the drives: velocity and effort, or effort alone [N m or V].
+
+        Returns:
+            Its stamp [ns].
+        """
         publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
         stamp, effort = self._node.ros_time(), command.effort.tolist()
         if command.velocity is None:
@@ -77,6 +81,7 @@ class PlatformOutputs:
         else:
             numbers = command.velocity.tolist() + effort
             publisher.publish(self._velocity_template.pack(stamp, numbers))
+        return stamp
 
     def publish_demand(self, frame: str) -> None:
         """Publish the twist that the active source asks for, for a collision monitor in use."""
