@@ -14,7 +14,7 @@ from omniman_ros.cli.arguments.description import (
 from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
-from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record
+from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record, add_replay
 from omniman_ros.cli.arguments.robot import add_demo, add_info, add_status, add_up
 
 
@@ -90,6 +90,12 @@ COMMANDS = {
         "draw a film of a drive from a recording",
         add_film,
         ("film recording", "film recording --output drive.webp --size 3"),
+    ),
+    "replay": Subcommand(
+        "omniman_ros.cli.replay",
+        "repeat the recorded platform controller, and compare its commands bit for bit",
+        add_replay,
+        ("replay recording", "replay recording --namespace robot_1"),
     ),
     "demo": Subcommand(
         "omniman_ros.demo.command",

@@ -35,6 +35,12 @@ def add_plot(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser, "namespace of the robot, if the recording contains several robots")
 
 
+def add_replay(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman replay`."""
+    parser.add_argument("bag", help="folder of a recording of `omniman record` or `ros2 bag`")
+    add_namespace(parser, "namespace of the robot, if the recording contains several robots")
+
+
 def add_film(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `omniman film`."""
     parser.add_argument("bag", help="folder of a recording of `omniman record` or `ros2 bag`")
