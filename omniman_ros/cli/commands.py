@@ -12,7 +12,7 @@ from omniman_ros.cli.arguments.description import (
     add_urdf,
 )
 from omniman_ros.cli.arguments.identification import add_identify
-from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
+from omniman_ros.cli.arguments.lab import add_bench, add_fault, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
 from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record, add_replay
 from omniman_ros.cli.arguments.robot import add_demo, add_info, add_status, add_up
@@ -156,5 +156,11 @@ COMMANDS = {
         "measure the performance of the control",
         add_bench,
         ("bench control --quick", "bench clutter --help"),
+    ),
+    "fault": Subcommand(
+        "omniman_ros.lab.faults.command",
+        "inject a fault into a running simulation",
+        add_fault,
+        ("fault --list", "fault cmd_vel-nan --duration 3"),
     ),
 }  #: Commands by name, in the order in which the help lists them

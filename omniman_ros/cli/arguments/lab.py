@@ -1,4 +1,4 @@
-"""Arguments of the commands of the laboratory: `omniman bench` and `omniman reproduce`."""
+"""Arguments of the laboratory's commands: `omniman bench`, `reproduce` and `fault`."""
 
 import argparse
 from collections.abc import Mapping
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from omniman_ros.cli.arguments.common import (
     ROBOT_HELP,
     add_examples,
+    add_namespace,
     add_parameters,
     add_results,
 )
@@ -22,6 +23,20 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
 def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Add the experiments of `omniman reproduce`, each with its options."""
     _add(parser, "reproduce", EXPERIMENTS)
+
+
+def add_fault(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman fault`."""
+    chosen = parser.add_mutually_exclusive_group(required=True)
+    chosen.add_argument("name", nargs="?", metavar="NAME", help="name of the fault")
+    chosen.add_argument("--list", action="store_true", help="list the faults, and inject none")
+    parser.add_argument(
+        "--duration",
+        type=float,
+        metavar="SECONDS",
+        help="time after which the fault is removed; default: until Ctrl-C",
+    )
+    add_namespace(parser, "namespace of the robot")
 
 
 def _add(parser: argparse.ArgumentParser, command: str, studies: Mapping[str, Study]) -> None:

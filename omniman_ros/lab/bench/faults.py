@@ -108,7 +108,7 @@ def measure(
     return measured
 
 
-def _play_or_start_anew(player: Player, row: Row) -> Trial:
+def _play_or_start_anew(player: Player[RunningRobot], row: Row) -> Trial:
     """Play a row; if the robot cannot be driven, that is the failure, and it is started anew."""
     try:
         return play(player, row)

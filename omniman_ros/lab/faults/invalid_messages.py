@@ -7,6 +7,7 @@ from typing import Any
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -29,19 +30,23 @@ class InvalidMessages:
     def __init__(self, node: Node) -> None:
         self.publication: Publication | None = None
         self._node = node
-        self._publishers = {
-            topic: (node.create_publisher(kind, topic, QoSProfile(depth=1)), make)
-            for topic, (kind, make) in TOPICS.items()
-        }
+        self._publishers: dict[str, Publisher] = {}
         node.create_timer(PERIOD, self._send)
+
+    def connect(self, topic: str) -> None:
+        """Become a second publisher of a topic, which stays silent until it is disturbed."""
+        if topic not in self._publishers:
+            kind, _ = TOPICS[topic]
+            publisher = self._node.create_publisher(kind, topic, QoSProfile(depth=1))
+            self._publishers[topic] = publisher
 
     def _send(self) -> None:
         if self.publication is None:
             return
-        publisher, make = self._publishers[self.publication.topic]
+        _, make = TOPICS[self.publication.topic]
         message = make(self.publication.content)
         message.header.stamp = self._node.get_clock().now().to_msg()
-        publisher.publish(message)
+        self._publishers[self.publication.topic].publish(message)
 
 
 def _joint_message(names: list[str]) -> Callable[[InvalidContent], JointState]:

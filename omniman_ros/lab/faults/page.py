@@ -10,15 +10,20 @@ def markdown() -> Iterator[str]:
     """Yield the lines of the table, a section for each kind of thing that fails."""
     for subject in dict.fromkeys(row.subject for row in ROWS):
         yield from ("", f"**{subject.value.capitalize()}**", "")
-        yield "| row | what happens | the robot | brakes within | what tells it | to drive on |"
-        yield "|---|---|---|---|---|---|"
+        yield (
+            "| row | what happens | the robot | brakes within | what tells it | to drive on "
+            "| `omniman fault` |"
+        )
+        yield "|---|---|---|---|---|---|---|"
         for row in ROWS:
             if row.subject is subject:
                 yield f"| {' | '.join(_cells(row))} |"
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    return (row.name, row.fault, row.outcome.value, reaction(row), row.told, row.going_on.value)
+    command = "in the laboratory only" if row.needs_laboratory else f"`{row.short_name}`"
+    outcome, going_on = row.outcome.value, row.going_on.value
+    return (row.name, row.fault, outcome, reaction(row), row.told, going_on, command)
 
 
 def reaction(row: Row) -> str:

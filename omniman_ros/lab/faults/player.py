@@ -1,8 +1,10 @@
 """Carries out and removes the injections of the table."""
 
+from collections.abc import Sequence
 from signal import SIGCONT, SIGSTOP
-from typing import assert_never
+from typing import Generic, TypeVar, assert_never
 
+from rclpy.publisher import Publisher
 from std_msgs.msg import Bool
 
 from omniman_ros.lab.faults.driver import Driver
@@ -18,29 +20,36 @@ from omniman_ros.lab.faults.injections import (
     TwistFault,
 )
 from omniman_ros.lab.faults.invalid_messages import InvalidMessages
-from omniman_ros.lab.faults.running_robot import RunningRobot
+from omniman_ros.lab.faults.observed_robot import ObservedRobot
 from omniman_ros.nodes.stop_interface import LATCHED
+
+R = TypeVar("R", bound=ObservedRobot)
 
 #: Time for which the arm's controller carries a command of its dashboard out [s]
 DASHBOARD_PAUSE = 1.0
 RELEASE_PERIOD = 0.01  #: period at which a second button says that it is not pressed [s]
 
 
-class Player:
+class Player(Generic[R]):
     """Injects faults into a robot that it can move, and removes them."""
 
-    def __init__(self, robot: RunningRobot) -> None:
+    def __init__(self, robot: R) -> None:
         node = robot.session.node
         self.robot, self.driver = robot, Driver(node, robot.truth)
         self._invalid = InvalidMessages(node)
-        self._button = node.create_publisher(Bool, "emergency_stop", LATCHED)
-        self._other_button = node.create_publisher(Bool, "emergency_stop", LATCHED)
+        self._buttons: list[Publisher] = []
         self._releasing = False
         node.create_timer(RELEASE_PERIOD, self._release)
 
     def _release(self) -> None:
         if self._releasing:
-            self._other_button.publish(Bool(data=False))
+            self._buttons[1].publish(Bool(data=False))
+
+    def _connect_buttons(self, count: int) -> None:
+        """Become publishers of the emergency stop; one that never speaks counts as lost."""
+        node = self.robot.session.node
+        while len(self._buttons) < count:
+            self._buttons.append(node.create_publisher(Bool, "emergency_stop", LATCHED))
 
     def prepare(self, injection: Injection) -> None:
         """Connect to what the injection needs, so that it comes without delay."""
@@ -49,6 +58,10 @@ class Player:
                 self.robot.services.set_parameter(node, parameter, cleared)
             case ServiceStop(node):
                 self.robot.services.connect(node, "stop")
+            case Publication(topic, _):
+                self._invalid.connect(topic)
+            case EmergencyStop(others_release):
+                self._connect_buttons(2 if others_release else 1)
 
     def inject(self, injection: Injection) -> None:
         """Inject a fault."""
@@ -71,7 +84,7 @@ class Player:
             case Publication():
                 self._invalid.publication = injection
             case EmergencyStop(others_release):
-                self._button.publish(Bool(data=True))
+                self._buttons[0].publish(Bool(data=True))
                 self._releasing = others_release
             case ServiceStop(node):
                 services.trigger(node, "stop")
@@ -93,9 +106,9 @@ class Player:
                     self.robot.send_to_dashboard(command)
                     self.robot.pause(DASHBOARD_PAUSE)
             case EmergencyStop():
-                self._button.publish(Bool(data=False))
+                self._buttons[0].publish(Bool(data=False))
 
-    def repair(self) -> list[str]:
+    def repair(self) -> Sequence[str]:
         """Start every process that has ended; return their names."""
         processes, ended = self.robot.processes, self.robot.processes.ended
         for name in ended:

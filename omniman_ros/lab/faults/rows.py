@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum
 
-from omniman_ros.lab.faults.injections import Injection, Publication
+from omniman_ros.lab.faults.injections import Injection, Publication, Restart, Second
 
 
 class Subject(Enum):
@@ -79,6 +79,16 @@ class Row:
             raise ValueError(f"row '{self.name}': nobody is named who is stopped")
         if (self.unnoticed > 0.0) != bool(self.timeout):
             raise ValueError(f"row '{self.name}': a time-out needs its name, and a name its time")
+
+    @property
+    def short_name(self) -> str:
+        """Name for `omniman fault`: one word, in lower case."""
+        return self.name.lower().replace(" ", "-").replace("/", "-")
+
+    @property
+    def needs_laboratory(self) -> bool:
+        """Whether a process has to be started, which only the laboratory can do."""
+        return isinstance(self.injection, (Restart, Second))
 
     @property
     def told(self) -> str:

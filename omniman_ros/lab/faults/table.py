@@ -1,6 +1,7 @@
 """The table of faults: each row names a fault and what must happen then.
 
-`omniman bench faults` plays the rows against the running robot, and the documentation shows them.
+`omniman bench faults` plays the rows against a robot of its own, `omniman fault` injects one
+into a simulation that runs, and the documentation shows them.
 """
 
 from dataclasses import dataclass, replace

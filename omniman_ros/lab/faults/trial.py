@@ -10,6 +10,7 @@ from omniman_ros.lab.faults.injections import EmergencyStop
 from omniman_ros.lab.faults.judge import StopMeasurement, judge_stop, largest_change
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import GoingOn, RequiredOutcome, Row, Subject
+from omniman_ros.lab.faults.running_robot import RunningRobot
 
 STILL_PLATFORM, STILL_ARM = 0.01, 0.05
 """Speeds below which platform [m/s] and arm [rad/s] are at rest; the arm's servo dies down."""
@@ -52,7 +53,7 @@ class Trial:
         return self.held_up <= LONGEST_HOLD_UP
 
 
-def play(player: Player, row: Row) -> Trial:
+def play(player: Player[RunningRobot], row: Row) -> Trial:
     """Play a row once, and judge it."""
     false_stops, recovery = settle(player, row)
     robot = player.robot
@@ -81,7 +82,7 @@ def play(player: Player, row: Row) -> Trial:
     return Trial(platform, arm, failures, held_up, false_stops, recovery)
 
 
-def settle(player: Player, row: Row) -> tuple[list[str], float]:
+def settle(player: Player[RunningRobot], row: Row) -> tuple[list[str], float]:
     """Bring the robot to speed: start what has ended, reset what is stopped, and drive.
 
     Returns:
@@ -109,7 +110,7 @@ def settle(player: Player, row: Row) -> tuple[list[str], float]:
     raise CommandError(f"the robot does not come to speed: {', '.join(false_stops)}")
 
 
-def _at_speed(player: Player) -> bool:
+def _at_speed(player: Player[RunningRobot]) -> bool:
     platform, arm = player.robot.truth.speeds
     return platform > 0.95 * SPEED and arm > 0.95 * ARM_SPEED
 
@@ -154,7 +155,7 @@ def _state_failures(row: Row, stopped: set[str], source: str) -> list[str]:
     return failures
 
 
-def _later_failures(player: Player, row: Row) -> list[str]:
+def _later_failures(player: Player[RunningRobot], row: Row) -> list[str]:
     """Return what goes wrong once the fault is removed, while the sources go on."""
     robot, failures = player.robot, []
     since = robot.now
@@ -178,7 +179,7 @@ def _later_failures(player: Player, row: Row) -> list[str]:
     return failures
 
 
-def _refusal_failures(player: Player, row: Row) -> list[str]:
+def _refusal_failures(player: Player[RunningRobot], row: Row) -> list[str]:
     """Return which nodes grant a reset while the emergency stop is pressed."""
     for name in row.stopped:
         player.robot.services.trigger(name, "reset")
@@ -187,7 +188,9 @@ def _refusal_failures(player: Player, row: Row) -> list[str]:
     return [f"{name} was reset although the emergency stop is pressed" for name in granted]
 
 
-def _motion_failures(player: Player, since: float, when: str, allowed: float = MOVED) -> list[str]:
+def _motion_failures(
+    player: Player[RunningRobot], since: float, when: str, allowed: float = MOVED
+) -> list[str]:
     """Return what has moved by more than is allowed [m or rad] since a time [s]."""
 
     def way(samples: Array) -> float:

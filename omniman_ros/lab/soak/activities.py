@@ -13,6 +13,7 @@ from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.lab.faults.injections import EmergencyStop, ServiceStop, Setting, Signal
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import GoingOn, MotionKind
+from omniman_ros.lab.faults.running_robot import RunningRobot
 from omniman_ros.lab.faults.table import ROWS
 
 #: Half the edge of the square in which goals and paths are, about the origin of the truth [m]
@@ -42,7 +43,7 @@ class Activities:
         client: Client of the robot, to be closed at the end.
     """
 
-    def __init__(self, player: Player, seed: int) -> None:
+    def __init__(self, player: Player[RunningRobot], seed: int) -> None:
         self._player, self._robot = player, player.robot
         self._draw = random.Random(seed)
         session = player.robot.session
