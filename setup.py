@@ -19,7 +19,7 @@ from setuptools import find_packages, setup
 from distutils.command.install_data import install_data  # isort: skip  (setuptools provides it)
 
 NAME = "omniman_ros"
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent  # colcon --symlink-install runs a link to this file
 
 EXECUTABLES = {
     "omniman": "omniman_ros.cli.main:main",
