@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
+from hashlib import blake2b
 from operator import attrgetter
 from typing import Any
 
@@ -36,6 +37,9 @@ CALLS = {
     "imu": ("update",),
     "feedback": ("note_restart",),
 }
+#: Length of the digest before a part [bytes]: a damaged pickle can break numpy in the process that
+#: reads it, before anything is found wrong
+DIGEST = 8
 PUBLISHED = "published"  #: Name of the entry with the stamp [ns] of a tick's command
 #: Packages whose classes a journal may contain: reading one runs no code of anybody else's
 PACKAGES = ("omniman_ros.core.", "omniman_ros.control.")
@@ -127,7 +131,7 @@ class Journal:
         chunk = Chunk(self._segment, self._number, self._state, tuple(self._entries))
         self._number, self._state = self._number + 1, b""
         self._entries.clear()
-        return pickle.dumps(chunk)
+        return pack(chunk)
 
 
 def _calls() -> Iterator[tuple[str, str]]:
@@ -153,20 +157,32 @@ def _read(data: bytes, kind: type) -> Any:
     """Return the object of a class in a pickle.
 
     Raises:
-        InputError: It is damaged, or was written by another version.
+        InputError: It was written by another version, or is no part of a journal.
     """
     try:
         read = _Reader(io.BytesIO(data)).load()
-    except Exception as error:  # a damaged pickle raises anything
+    except Exception as error:  # a class of another version raises anything
         raise InputError(f"the journal cannot be read by this version: {error}") from error
     if not isinstance(read, kind):
         raise InputError(f"the journal contains a {type(read).__name__}, not a {kind.__name__}")
     return read
 
 
+def _digest(data: bytes) -> bytes:
+    return blake2b(data, digest_size=DIGEST).digest()
+
+
+def pack(content: object) -> bytes:
+    """Return a part of a journal as bytes for :func:`read_chunk`: digest and pickle."""
+    data = pickle.dumps(content)
+    return _digest(data) + data
+
+
 def read_chunk(data: bytes) -> Chunk:
-    """Return a part of a journal; InputError if it cannot be read."""
-    chunk: Chunk = _read(data, Chunk)
+    """Return a part of a journal; InputError if it is damaged or cannot be read."""
+    if data[:DIGEST] != _digest(data[DIGEST:]):
+        raise InputError("the journal is damaged")
+    chunk: Chunk = _read(data[DIGEST:], Chunk)
     return chunk
 
 
@@ -198,8 +214,8 @@ def replay(core: PlatformController, entries: Iterable[bytes]) -> Iterator[Repla
         try:
             with suppress(OmnimanError):  # the input was refused then, too
                 result = attrgetter(name)(core)(*args, **options)
-        except (TypeError, AttributeError) as error:
-            raise InputError(f"this version has another '{name}': {error}") from error
+        except Exception as error:  # with a state of another version, anything
+            raise InputError(f"this version has another '{name}': {error!r}") from error
         if name == "tick":
             last = ReplayedTick(args[0], result, None)
     if last is not None:

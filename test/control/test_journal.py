@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.control.journal import Journal, read_chunk, replay, restore
+from omniman_ros.control.journal import Journal, pack, read_chunk, replay, restore
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.errors import InputError, OmnimanError
 from test.control.rig import Rig
@@ -108,11 +108,33 @@ class Harm:
         return print, ("harm",)
 
 
-@pytest.mark.parametrize("data", [pickle.dumps(Harm()), pickle.dumps(3), b"nonsense", b""])
-def test_foreign_or_damaged_content_is_refused_and_never_run(data, capsys):
-    with pytest.raises(InputError):
-        read_chunk(data)
+@pytest.mark.parametrize("content", [Harm(), 3, (7, 0, b"", ())])
+def test_foreign_content_is_refused_and_never_run(content, capsys):
+    with pytest.raises(InputError, match="journal c"):
+        read_chunk(pack(content))
     assert "harm" not in capsys.readouterr().out
+
+
+def test_damaged_content_is_refused_before_it_is_read():
+    journal = Journal(Rig().core)
+    journal.open(1)
+    data = journal.take()
+    assert read_chunk(data).segment == 1
+    for place in range(0, len(data), 97):
+        damaged = bytearray(data)
+        damaged[place] ^= 1
+        with pytest.raises(InputError, match="damaged"):
+            read_chunk(bytes(damaged))
+    for short in (b"", b"nonsense", data[:-1]):
+        with pytest.raises(InputError, match="damaged"):
+            read_chunk(short)
+
+
+def test_what_another_version_takes_otherwise_is_refused():
+    entries = [pickle.dumps(("set_twist", ("fast",), {})), pickle.dumps(("tick", (), {}))]
+    for entry in entries:
+        with pytest.raises(InputError, match="this version has another"):
+            list(replay(Rig().core, [entry]))
 
 
 @pytest.mark.parametrize("name", ["no_such_call", "parameters.__init__"])

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("rosbags", reason="rosbags is not installed (extra 'record')")
 
 from omniman_ros.cli.main import main
-from omniman_ros.control.journal import Journal
+from omniman_ros.control.journal import Journal, pack, read_chunk
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.control.rig import Rig
 from test.recording.support import T, joints, write
@@ -90,13 +90,13 @@ def test_changed_bit_of_one_recorded_value_is_shown(messages, tmp_path, capsys):
 def test_another_gain_in_the_journal_is_shown(messages, tmp_path, capsys):
     at = places(messages, "/controller_journal")[0]
     now, topic, message = messages[at]
-    chunk = pickle.loads(bytes(message.data))
+    chunk = read_chunk(bytes(message.data))
     core = pickle.loads(chunk.state)
     coupling = core.parameters.coupling
     changed = replace(coupling, k_epsilon=2.0 * coupling.k_epsilon)
     core.configure(replace(core.parameters, coupling=changed))
     chunk = replace(chunk, state=pickle.dumps(core))
-    messages[at] = now, topic, journal_message(pickle.dumps(chunk))
+    messages[at] = now, topic, journal_message(pack(chunk))
     code, text = run(capsys, write(tmp_path / "bag", messages))
     assert code == 1, text
     assert "First difference: wheel_commands at" in text
@@ -139,4 +139,4 @@ def test_damaged_journal_cannot_be_replayed(messages, tmp_path, capsys):
     messages[at] = now, topic, journal_message(bytes(message.data)[:-9])
     code, text = run(capsys, write(tmp_path / "bag", messages))
     assert code == 2
-    assert "cannot be read by this version" in text
+    assert "the journal is damaged" in text
