@@ -24,7 +24,7 @@ from omniman_ros.processes.process_group import redirect_signals
 SEARCH_TIMEOUT = 6.0  #: Time within which a robot must be found [s]
 #: Longest time for which all nodes of a robot that was found are listened to [s]: diagnostics come
 #: once a second of the robot's time
-LISTENING_TIME = 8.0
+LISTENING_TIME = 12.0
 LOOK_PERIOD = 0.1  #: Time between two looks at who has been heard [s]
 PAINT_PERIOD = 0.5  #: Time between two looks at what has changed [s]
 CLEAR = "\033[H\033[J"  #: Escape sequence that clears a terminal
@@ -69,6 +69,11 @@ class StatusListener:
     def is_found(self) -> bool:
         """Whether any node of the robot is there."""
         return bool(self._diagnostics or self._stops or self._movers())
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Full names of the nodes that were discovered or heard."""
+        return self._nodes() | self._movers()
 
     @property
     def is_complete(self) -> bool:
@@ -179,14 +184,20 @@ def run(args: argparse.Namespace) -> int:
 
 
 def listen(session: Session, listener: StatusListener, signals: list[int]) -> None:
-    """Hear every node of a robot, as far as they speak."""
-    start = session.now()
+    """Hear every node of a robot, as far as they speak.
+
+    On a busy machine nodes are discovered one after the other: after each the next is waited for.
+    """
+    start = changed = session.now()
+    known: frozenset[str] = frozenset()
     while not signals:
         session.spin(LOOK_PERIOD)
         elapsed = session.now() - start
+        if listener.known != known:
+            known, changed = listener.known, session.now()
         if elapsed > (LISTENING_TIME if listener.is_found else SEARCH_TIMEOUT):
             return
-        if elapsed > ANNOUNCEMENT_TIME and listener.is_complete:
+        if session.now() - changed > ANNOUNCEMENT_TIME and listener.is_complete:
             return
 
 
