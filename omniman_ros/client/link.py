@@ -15,6 +15,7 @@ from omniman_ros.client.streams import CONTROLLER, ObstacleStream, TwistStream
 from omniman_ros.client.telemetry import Telemetry
 from omniman_ros.console.session import ANNOUNCEMENT_TIME, DISCOVERY_TIMEOUT
 from omniman_ros.core.planar import Triple
+from omniman_ros.nodes.stop_interface import STOP_STATE
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 
 PERIOD = 0.05  #: Period of `cmd_vel` and of the link's other work [s]
@@ -83,7 +84,7 @@ class RobotLink:
         """Return what is not there yet of what some abilities need."""
         faults = []
         with self._lock:
-            if not self._telemetry.knows("odom", "active_source"):
+            if not self._telemetry.knows("odom", "active_source", STOP_STATE):
                 faults.append(f"{CONTROLLER} with odom")
             elif DRIVE in abilities and not self.can_drive:
                 faults.append("subscriber of cmd_vel")
@@ -184,12 +185,19 @@ class RobotLink:
                 f"no node that can be stopped was found within {timeout:g} s; check that "
                 "ROS_DOMAIN_ID is the robot's"
             )
+        # On a busy machine nodes are discovered one after the other: each may be the last but one.
         now, known_at = self.shared.now, self._opened + ANNOUNCEMENT_TIME
+        found = 0
+        while len(calls.answers) > found:
+            if found:
+                known_at = now() + ANNOUNCEMENT_TIME
+            found = len(calls.answers)
 
-        def is_complete() -> bool:
-            return now() > known_at and None not in calls.answers.values()
+            def is_settled(found: int = found, known_at: float = known_at) -> bool:
+                is_complete = now() > known_at and None not in calls.answers.values()
+                return is_complete or len(calls.answers) > found
 
-        self.wait(is_complete, max(known_at - now(), 0.0) + ANSWER_TIMEOUT)
+            self.wait(is_settled, max(known_at - now(), 0.0) + ANSWER_TIMEOUT)
 
     def halt(self) -> None:
         """End what this client moves, and wait until the robot stands, up to some seconds.

@@ -300,7 +300,8 @@ class Robot:
         """Stop every node in or below the namespace that moves something, until `reset`.
 
         Nothing moves until then, whatever is sent. As nodes are called when they are found, an
-        object that was made a moment ago goes on looking for others for 3.5 s.
+        object that was made a moment ago goes on looking for others until none has been found
+        for 3.5 s.
 
         Args:
             timeout: Time within which the first node must be found [s].

@@ -82,6 +82,13 @@ def test_what_is_missing_is_named(robot):
     assert "ROS_DOMAIN_ID" not in str(raised.value), "the robot is there"
 
 
+def test_a_robot_is_not_ready_before_it_has_said_what_is_stopped(robot, monkeypatch):
+    heard = {k: v for k, v in robot._link._telemetry._heard.items() if k != "stop_state"}
+    monkeypatch.setattr(robot._link._telemetry, "_heard", heard)
+    with pytest.raises(RobotTimeoutError, match="no platform_controller with odom"):
+        robot.wait_until_ready(0.2)
+
+
 def test_a_robot_that_is_not_there_is_named(world):
     with (
         Robot("elsewhere", world.probe, serve=serve(world)) as robot,

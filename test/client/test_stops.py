@@ -83,6 +83,24 @@ def test_a_node_that_does_not_answer_is_reported(world):
         robot.stop()
 
 
+def test_nodes_that_are_discovered_one_after_the_other_are_all_called(world):
+    nodes, late = [StoppableNode(world, "platform_controller")], ["simulated_drive", "arm"]
+    elapsed = 0.0
+
+    def serve(seconds):
+        nonlocal elapsed
+        world.run(max(seconds, PERIOD))
+        elapsed += max(seconds, PERIOD)
+        if late and elapsed > 1.5 * len(nodes):  # the second one after the time for the first
+            nodes.append(StoppableNode(world, late.pop(0)))
+            name = nodes[-1].get_fully_qualified_name()
+            world._await(lambda: has_service(world.probe, f"{name}/stop"), "the node")
+
+    with client_of(world), Robot("", world.probe, serve=serve) as robot:
+        robot.stop()
+    assert [node.called for node in nodes] == [["stop"]] * 3
+
+
 @pytest.mark.parametrize("namespace", ["robot2", "/robot2/"])
 def test_a_namespace_leaves_other_nodes_alone(world, namespace):
     other = StoppableNode(world, "platform_controller", "robot20")
