@@ -1,7 +1,6 @@
 """Selection of the motion to follow: the new plan, the rest of the last motion, or braking."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +10,12 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.cycle import AT_REST, CycleReport, MeasuredState
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.motion_choice import HISTORY_TIME, MotionChoice, MotionChooser, rest_of
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.safety import Surroundings
 
-#: Time by which contact must come later for another motion to be better than braking now [s]
-CONTACT_DELAY = 0.1
-#: Increase of the smallest gap that makes a motion better if contact does not come sooner [m]
-GAP_GAIN = 0.005
 PREVIEW_DURATION = 0.4  #: Time for which a motion is sent ahead before the preview brakes [s]
-HISTORY_TIME = 0.5  #: Length of the past part of a motion that is kept [s]
 #: Distance from the motion above which plans begin at the measured pose of the robot [m]
 REPLAN_POSITION_ERROR = 0.15
 #: Heading error above which plans begin at the measured pose of the robot [rad]
@@ -37,14 +32,6 @@ class PlanProposal:
     fault: str = ""  #: Reason why there is no plan, or an empty string
 
 
-@dataclass(frozen=True)
-class _Candidate:
-    """A motion to choose from, with its solution if it is a new plan."""
-
-    motion: HermiteTrajectory
-    solution: Solution | None = None
-
-
 class MotionSelector:
     """Holds the motion that the robot follows, and replaces it by the best one available.
 
@@ -58,6 +45,7 @@ class MotionSelector:
         long_ago = -HISTORY_TIME
         self.motion = HermiteTrajectory.rest(long_ago, np.zeros(3), model.wheel_count)
         self.report = CycleReport()
+        self._choice: MotionChoice | None = None
         self._shortened: tuple[HermiteTrajectory, HermiteTrajectory] | None = None
 
     # ---- the present motion -----------------------------------------------------------------
@@ -142,13 +130,8 @@ class MotionSelector:
         pose = self.motion.poses[-1] if measured is None else measured.pose
         self.motion = HermiteTrajectory.rest(now, pose, self.model.wheel_count)
 
-    def _rest_of_motion(self, now: float) -> HermiteTrajectory:
-        """Return the motion from KEPT_PAST before now [s] to its end."""
-        begins = max(self.motion.start, now - HISTORY_TIME)
-        return self.motion.between(begins, max(self.motion.end, now + 1e-3))
-
     def _braked(self, now: float) -> HermiteTrajectory:
-        rest = self._rest_of_motion(now)
+        rest = rest_of(self.motion, now)
         return rest.braked(max(now, rest.start), self.limits.decelerations)
 
     # ---- selection --------------------------------------------------------------------------
@@ -158,11 +141,7 @@ class MotionSelector:
     ) -> Solution | None:
         """Set the motion to the best one available, and report on it.
 
-        The order of preference is: the longest part of a plan that is clear together with its
-        braking, the last motion, the longest clear part of the last motion. If no motion is clear
-        over the whole horizon, the motion that is clear longest is followed: the obstacles may
-        still turn away, and an evasion may still be found. Plans are only used if there is a goal
-        to drive to: `active`.
+        Plans are only used if there is a goal to drive to: `active`; see `MotionChooser`.
 
         Returns:
             Solution to warm-start the next optimisation from; None if the warm start is kept.
@@ -172,18 +151,28 @@ class MotionSelector:
             first = proposal.solutions[0]
             report = replace(report, slack=float(first.slack.max()), cost=first.cost)
         plans, refusal = self._plans(proposal, report.lateness, now, active)
-        chosen = self._take_clear_plan(plans, proposal.due, now, surroundings)
-        if chosen is not None:
-            self.report = replace(report, used=True)
-        else:
-            report = replace(report, reason=proposal.fault or refusal)
-            chosen = self._go_on(plans, report, now, surroundings)
+        chooser = MotionChooser(surroundings, self._brake, now, now)
+        earliest = proposal.due + 0.5 * self.limits.parameters.horizon.step
+        self._choice = choice = chooser.choose(plans, earliest, self.motion, self._choice)
+        self.motion = choice.motion
+        used = choice.plan is not None
+        self.report = replace(
+            report,
+            used=used,
+            reason="" if used else proposal.fault or refusal,
+            braking=choice.is_braking,
+            clear=choice.is_clear,
+            time_to_contact=math.inf if choice.is_clear else choice.contact - now,
+        )
         self._shorten(now, surroundings)
-        return chosen
+        return None if choice.plan is None else proposal.solutions[choice.plan]
+
+    def _brake(self, motion: HermiteTrajectory, time: float) -> HermiteTrajectory:
+        return motion.braked(time, self.limits.decelerations)
 
     def _plans(
         self, proposal: PlanProposal, lateness: float, now: float, active: bool
-    ) -> tuple[list[_Candidate], str]:
+    ) -> tuple[list[HermiteTrajectory], str]:
         """Return the plans that may be used, and the reason to report if none of them is clear."""
         if not active:
             return [], "there is no goal any more"
@@ -191,70 +180,8 @@ class MotionSelector:
             return [], ""
         if lateness > 0.0:
             return [], f"the answer came {1e3 * lateness:.0f} ms late"
-        plans = [
-            _Candidate(self._joined(proposal.due, solution, now), solution)
-            for solution in proposal.solutions
-        ]
+        plans = [self._joined(proposal.due, solution, now) for solution in proposal.solutions]
         return plans, "the plan is not clear of contact"
-
-    def _take_clear_plan(
-        self, plans: Sequence[_Candidate], due: float, now: float, surroundings: Surroundings
-    ) -> Solution | None:
-        """Follow the first plan of which a part is clear; None if there is none."""
-        earliest = due + 0.5 * self.limits.parameters.horizon.step
-        for plan in plans:
-            clear = surroundings.longest(plan.motion, now, earliest, self.limits.decelerations)
-            if clear is not None:
-                self.motion = clear
-                return plan.solution
-        return None
-
-    def _go_on(
-        self,
-        plans: Sequence[_Candidate],
-        report: CycleReport,
-        now: float,
-        surroundings: Surroundings,
-    ) -> Solution | None:
-        """Follow the last motion, its longest clear part, or the motion that is clear longest."""
-        if surroundings.contact(self.motion, now) == math.inf:
-            self.report = report
-            return None
-        rest = self._rest_of_motion(now)
-        clear = surroundings.longest(rest, now, now, self.limits.decelerations)
-        if clear is not None:
-            self.motion = clear
-            self.report = replace(report, braking=True)
-            return None
-        return self._take_latest_contact([*plans, _Candidate(rest)], report, now, surroundings)
-
-    def _take_latest_contact(
-        self,
-        candidates: Sequence[_Candidate],
-        report: CycleReport,
-        now: float,
-        surroundings: Surroundings,
-    ) -> Solution | None:
-        """Brake, or follow a candidate on which contact comes later or the gap stays wider."""
-        # A robot that evades continues to do so: to alternate between motions makes no progress.
-        evades = not self.report.clear and not self.report.braking
-        required_delay = -CONTACT_DELAY if evades else CONTACT_DELAY
-        self.motion = self._braked(now)
-        contact, gap = surroundings.threat(self.motion, now)
-        result, chosen = replace(report, braking=True), None
-        for candidate in candidates:
-            motion = candidate.motion.braked(candidate.motion.end, self.limits.decelerations)
-            new_contact, new_gap = surroundings.threat(motion, now)
-            if new_contact > contact + required_delay or (
-                new_contact >= contact and new_gap > gap + GAP_GAIN
-            ):
-                self.motion, contact, gap, required_delay = motion, new_contact, new_gap, 0.0
-                result = report
-                if candidate.solution is not None:
-                    chosen = candidate.solution
-                    result = replace(report, used=True, reason="")
-        self.report = replace(result, time_to_contact=contact - now, clear=False)
-        return chosen
 
     def _joined(self, due: float, solution: Solution, now: float) -> HermiteTrajectory:
         """Join the plan to the last motion, which is followed until the plan is due [s]."""

@@ -144,27 +144,3 @@ class Surroundings:
         if wall < contact:
             return wall, 0.0
         return contact, min(float(least[: first + 1].min()), MARGIN_TOLERANCE)
-
-    def longest(
-        self,
-        motion: HermiteTrajectory,
-        now: float,
-        earliest: float,
-        deceleration: tuple[float, float],
-    ) -> HermiteTrajectory | None:
-        """Return the longest part of a motion that can be driven and then braked without contact.
-
-        The motion need not end at rest; the braking [m/s^2, rad/s^2] begins at `earliest` [s] or
-        later. None means that there is no such part.
-        """
-        whole = motion.braked(motion.end, deceleration)
-        contact = self.contact(whole, now)
-        if contact == math.inf:
-            return whole
-        nodes = motion.times[(motion.times >= earliest) & (motion.times < contact)]
-        # All are tried: to brake earlier need not be safer if an obstacle comes from behind.
-        for begin in nodes[::-1].tolist():
-            shorter = motion.braked(begin, deceleration)
-            if self.contact(shorter, now) == math.inf:
-                return shorter
-        return None

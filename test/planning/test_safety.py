@@ -192,68 +192,6 @@ def test_robot_outside_the_workspace_may_return():
     assert out.contact(a_line(0.5, 0.0, 0.0), NOW) < NOW + 0.2
 
 
-# ---- longest clear part -----------------------------------------------------------------------
-
-
-def by_brute_force(surroundings, motion, earliest):
-    """Return the latest node at which braking is clear."""
-    whole = motion.braked(motion.end, DECELERATION)
-    if surroundings.contact(whole, NOW) == math.inf:
-        return whole
-    for time in motion.times[motion.times >= earliest][::-1]:
-        shorter = motion.braked(float(time), DECELERATION)
-        if surroundings.contact(shorter, NOW) == math.inf:
-            return shorter
-    return None
-
-
-def test_latest_braking_that_is_clear_is_found():
-    random = np.random.default_rng(2)
-    shortened = none = 0
-    for _ in range(60):
-        motion, known = a_motion(random), some_obstacles(random)
-        surroundings = around(known)
-        found = surroundings.longest(motion, NOW, NOW + 0.05, DECELERATION)
-        expected = by_brute_force(surroundings, motion, NOW + 0.05)
-        assert (found is None) == (expected is None)
-        if found is None or expected is None:
-            none += 1
-            continue
-        assert found.end == pytest.approx(expected.end)
-        np.testing.assert_allclose(found.poses[-1], expected.poses[-1])
-        np.testing.assert_array_equal(found.velocities[-1], 0.0)
-        shortened += found.end < motion.end
-        if true_gaps(np.array([NOW]), motion.poses[:1], HALF, known).min() > 0.05:
-            assert closest(found, known).min() > 0.0
-    assert shortened > 8 and none > 2
-
-
-def test_earlier_braking_may_lead_to_contact():
-    # An obstacle crosses where early braking would leave the robot; a wall is ahead.
-    motion = a_line(0.8, 0.0, 0.0)
-    known = ellipses(
-        (0.5, 3.5, 0.35), (2.4, 0.0, 0.2, 3.0, 0.0), time=NOW, velocities=[(0, -1.6), (0, 0)]
-    )
-    surroundings = Surroundings(Footprint(Rectangles.centred(HALF)), known, WIDE, 0.02, NOW + 4.0)
-    for late in (0.1, 0.5):
-        early = motion.braked(NOW + late, DECELERATION)
-        assert surroundings.contact(early, NOW) < math.inf
-    found = surroundings.longest(motion, NOW, NOW + 0.05, DECELERATION)
-    assert found is not None
-    assert closest(found, known).min() > 0.0
-
-
-def test_no_part_is_found_where_none_is_clear():
-    ahead = around(ellipses((0.75, 0.0, 0.3)))
-    assert ahead.longest(a_line(0.9, 0.0, 0.0), NOW, NOW + 0.05, DECELERATION) is None
-
-
-def test_free_motion_is_kept_and_braked_at_its_end():
-    motion = a_line(0.6, 0.1, 0.2)
-    found = around().longest(motion, NOW, NOW + 0.05, DECELERATION)
-    assert found is not None and found.end == pytest.approx(motion.end + np.hypot(0.6, 0.1) / 1.5)
-
-
 # ---- current pose -----------------------------------------------------------------------------
 
 

@@ -13,6 +13,7 @@ from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
 from test.planning.support import ellipses, true_gaps
+from test.planning.test_motion_choice import longest
 
 HALF = np.array([0.4, 0.25])
 FOOTPRINT = Footprint(Rectangles.centred(HALF))
@@ -192,15 +193,15 @@ def test_threat_of_a_wall_is_the_time_of_contact_without_margin():
 
 def test_longest_clear_part_ends_before_the_wall():
     motion = a_line(0.8, 0.0, 0.0)
-    found = around().longest(motion, NOW, NOW, DECELERATION)
+    found = longest(around(), motion, NOW)
     assert found is not None
     end = found.poses[-1, 0]
     free = 1.5 - RADIUS - MARGIN - HALF[0]
     assert free - 0.2 < end <= free
     assert not found.velocities[-1].any()
-    whole = around().longest(a_line(-0.8, 0.0, 0.0), NOW, NOW, DECELERATION)
+    whole = longest(around(), a_line(-0.8, 0.0, 0.0), NOW)
     assert whole is not None and whole.end > NOW + 2.0
-    assert around().longest(a_line(2.5, 0.0, 0.0), NOW, NOW + 0.2, DECELERATION) is None
+    assert longest(around(), a_line(2.5, 0.0, 0.0), NOW + 0.2) is None
 
 
 def test_motion_that_is_not_finite_is_never_clear():
