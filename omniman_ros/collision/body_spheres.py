@@ -76,7 +76,7 @@ class BodySpheres:
         """Return the spheres for poses (..., 7, 4, 4) of the arm's base and links in base_link."""
         chosen = frames[..., self.frame, :3, :]
         centre = (chosen[..., :3] @ self._local[:, :, None])[..., 0] + chosen[..., 3]
-        return PlacedSpheres(centre, frames)
+        return PlacedSpheres.unchecked(centre=centre, frames=frames)
 
     def joint_derivative(self, placed: PlacedSpheres) -> Array:
         """Return the derivatives (..., S, 3, 6) of the centres by the joint angles [m/rad]."""

@@ -8,8 +8,6 @@ The centres of the obstacles may have more axes, (2, ..., M), which are broadcas
 points or poses: obstacles that are elsewhere for each of them.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from omniman_ros.collision.upright_obstacles import UprightObstacles, corner_distances
@@ -99,7 +97,7 @@ def rectangle_gap_derivative(
 ) -> tuple[Array, Array]:
     """Return what `rectangle_gaps` does, and the derivatives (..., M, 3) by the poses."""
     offsets = np.vstack((np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)))
-    placed = replace(obstacles, centre=obstacles.centre[..., None, :])
+    placed = obstacles.placed(obstacles.centre[..., None, :])
     around = rectangle_gaps(placed, poses[..., None, :] + offsets, half, heights)
     slopes = (around[..., 1:4, :] - around[..., 4:, :]) / (2.0 * STEP)
     return around[..., 0, :], np.swapaxes(slopes, -1, -2)

@@ -80,11 +80,11 @@ class UprightObstacles(Validated):
         if not parts:
             flat = np.zeros((2, 0))
             return UprightObstacles(flat, flat[0], flat, flat[0], flat[0], flat[0])
-        return UprightObstacles(
-            *(
-                np.concatenate([getattr(part, name) for part in parts], axis=-1)
+        return UprightObstacles.unchecked(
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
                 for name in ("centre", "yaw", "half", "rounding", "lower", "upper")
-            )
+            }
         )
 
     def __len__(self) -> int:
@@ -92,14 +92,18 @@ class UprightObstacles(Validated):
 
     def select(self, index: Indices) -> "UprightObstacles":
         """Return the obstacles with some indices, which may repeat."""
-        return UprightObstacles(
-            self.centre[:, index],
-            self.yaw[index],
-            self.half[:, index],
-            self.rounding[index],
-            self.lower[index],
-            self.upper[index],
+        return UprightObstacles.unchecked(
+            centre=self.centre[:, index],
+            yaw=self.yaw[index],
+            half=self.half[:, index],
+            rounding=self.rounding[index],
+            lower=self.lower[index],
+            upper=self.upper[index],
         )
+
+    def placed(self, centre: Array) -> "UprightObstacles":
+        """Return the obstacles at other centres (2, ..., M), one for each of several times."""
+        return UprightObstacles.unchecked(**{**vars(self), "centre": centre})
 
     def _local(self, points: Array) -> Array:
         """Return points (3, ..., M) in the frames of the obstacles; heights stay."""

@@ -147,6 +147,8 @@ class MotionChooser:
 
 
 def rest_of(motion: HermiteTrajectory, now: float) -> HermiteTrajectory:
-    """Return a motion from `HISTORY_TIME` before now [s] to its end."""
+    """Return a motion from `HISTORY_TIME` before now [s] to its end, or itself if it is that."""
+    if motion.start >= now - HISTORY_TIME and motion.end > now + REST_SPAN:
+        return motion
     begins = max(motion.start, now - HISTORY_TIME)
     return motion.between(begins, max(motion.end, now + REST_SPAN))

@@ -4,11 +4,9 @@ Time is an argument: the motion time, see `motion.path.pace`.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
@@ -23,8 +21,6 @@ from omniman_ros.planning.whole_body.task import BodyTask
 END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
 #: Step below which two motion times are the same, because motion time stands [s]
 SHORTEST_STEP = 1e-6
-#: Lowest pace at which what moves is predicted: below it, the robot all but stands
-SLOWEST_PACE = 0.1
 
 
 class AvoidanceMotion:
@@ -48,18 +44,17 @@ class AvoidanceMotion:
         self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
 
-    def cycle(self, now: float, pace: float, around: ObstacleSnapshot) -> CycleOutcome | None:
+    def cycle(
+        self, now: float, pace: float, around: ObstacleSnapshot, delay: float = 0.0
+    ) -> CycleOutcome | None:
         """Choose the motion from a motion time on, which passes at a pace.
 
+        The result is used after a delay [s]. What is around is known now.
         The outcome is None while the robot does not follow its task, or has arrived.
         """
         if self.state is not PathState.FOLLOWING or self._has_arrived:
             return None
-        # In motion time, what is around a robot that is slowed down moves faster.
-        stretch = 1.0 / max(pace, SLOWEST_PACE)
-        moving = MovingObstacles(around.moving.obstacles, stretch * around.moving.velocity)
-        slowed = replace(around, time=now, moving=moving, growth=stretch * around.growth)
-        return self.task.cycle(now, slowed)
+        return self.task.cycle(now, around.slowed(now, pace), now + pace * delay)
 
     def platform(self, now: float) -> Array:
         """Return the pose (3,) of the platform at a motion time [s]."""

@@ -1,7 +1,7 @@
 """Gaps of the whole body: to what stands, to what moves, and between its own parts."""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -38,7 +38,7 @@ PLATFORM = "platform"  #: Name of the platform among the parts
 class GapRows(Validated):
     """The nearest gaps at each of k configurations, with their derivatives."""
 
-    #: Gaps (k, n), less the growth of the margin around what moves [m]
+    #: Gaps (k, n), less the margin around what moves, which grows [m]
     gap: Annotated[Array, Shape("k", "n")]
     #: Derivatives (k, n, 4) by the redundancy coordinates
     slope: Annotated[Array, Shape("k", "n", 4)]
@@ -50,16 +50,16 @@ class GapRows(Validated):
         k, n = self.gap.shape
         if n < count:
             more = count - n
-            return GapRows(
-                np.hstack([self.gap, np.full((k, more), FAR)]),
-                np.concatenate([self.slope, np.zeros((k, more, COORDINATES))], axis=1),
-                np.hstack([self.kind, np.full((k, more), STANDING)]),
+            return GapRows.unchecked(
+                gap=np.hstack([self.gap, np.full((k, more), FAR)]),
+                slope=np.concatenate([self.slope, np.zeros((k, more, COORDINATES))], axis=1),
+                kind=np.hstack([self.kind, np.full((k, more), STANDING)]),
             )
         index = np.argpartition(self.gap, count - 1, axis=1)[:, :count]
-        return GapRows(
-            np.take_along_axis(self.gap, index, axis=1),
-            np.take_along_axis(self.slope, index[..., None], axis=1),
-            np.take_along_axis(self.kind, index, axis=1),
+        return GapRows.unchecked(
+            gap=np.take_along_axis(self.gap, index, axis=1),
+            slope=np.take_along_axis(self.slope, index[..., None], axis=1),
+            kind=np.take_along_axis(self.kind, index, axis=1),
         )
 
 
@@ -69,8 +69,14 @@ class BodyGaps:
     The platform is one rectangle or several from the floor to the deck's top, the rest are spheres
     with a largest spacing, all of which contain the parts: no gap is overestimated.
 
+    Args:
+        spacing: Largest distance between spheres [m].
+        time_gap: Time in which what moves covers the gap that rows keep to it besides [s].
+
     Attributes:
         names: Names of the parts, the platform first.
+        rectangles: Parts of the platform's outline.
+        heights: Lower and upper side of the platform [m].
         radius: Distance of the platform's farthest point from the z axis of base_link [m].
     """
 
@@ -80,22 +86,24 @@ class BodyGaps:
         tool: ToolShape,
         load: LoadShape | None,
         spacing: float,
+        time_gap: float = 0.0,
     ) -> None:
+        self._time_gap = time_gap
         robot, mount = description.robot, description.mount
         self.spheres = BodySpheres(mount, tool, load, spacing)
         self.names: tuple[str, ...] = (PLATFORM, *self.spheres.names)
-        self._rectangles = Rectangles.around(robot.body).each()
-        self.radius = max(float(each.radius) for each in self._rectangles)
-        self._heights = 0.0, platform_top(robot, mount.z)
+        self.rectangles = Rectangles.around(robot.body).each()
+        self.radius = max(float(each.radius) for each in self.rectangles)
+        self.heights = 0.0, platform_top(robot, mount.z)
         self._deck = UprightObstacles.join(
             [
                 UprightObstacles.box(
                     (*each.centre.tolist(), float(each.yaw)),
                     2.0 * float(each.half[0]),
                     2.0 * float(each.half[1]),
-                    self._heights,
+                    self.heights,
                 )
-                for each in self._rectangles
+                for each in self.rectangles
             ]
         )
         part = self.spheres.part
@@ -155,21 +163,11 @@ class BodyGaps:
     def platform(self, poses: Array, obstacles: UprightObstacles) -> Array:
         """Return the gaps (k, M) of the platform at poses (k, 3) to obstacles [m]."""
         found = [
-            rectangle_gaps(obstacles, each.poses(poses), each.half, self._heights)
-            for each in self._rectangles
+            rectangle_gaps(obstacles, each.poses(poses), each.half, self.heights)
+            for each in self.rectangles
         ]
         result: Array = np.min(found, axis=0)
         return result
-
-    def spheres_least(
-        self, centre: Array, obstacles: UprightObstacles
-    ) -> tuple[Array, Indices, Indices]:
-        """Return the least gaps (k,) of spheres to obstacles [m], with the numbers of both."""
-        gaps = point_gap_values(obstacles, centre) - self.spheres.radius[:, None]
-        flat = gaps.reshape(len(gaps), -1)
-        least = flat.argmin(axis=1)
-        sphere, obstacle = np.divmod(least, len(obstacles))
-        return flat[np.arange(len(flat)), least], sphere, obstacle
 
     def to_obstacles(
         self, poses: Array, placed: PlacedSpheres, obstacles: UprightObstacles
@@ -196,16 +194,16 @@ class BodyGaps:
         moved = self.spheres.joint_derivative(placed)
         own = self._own_rows(at, placed, moved)
         obstacles = self._obstacle_rows(at, placed, moved, around, ages)
-        joined = GapRows(
-            np.hstack([own.gap, obstacles.gap]),
-            np.concatenate([own.slope, obstacles.slope], axis=1),
-            np.hstack([own.kind, obstacles.kind]),
+        joined = GapRows.unchecked(
+            gap=np.hstack([own.gap, obstacles.gap]),
+            slope=np.concatenate([own.slope, obstacles.slope], axis=1),
+            kind=np.hstack([own.kind, obstacles.kind]),
         ).nearest(count)
         is_far = joined.gap > reach
-        return GapRows(
-            np.where(is_far, FAR, joined.gap),
-            np.where(is_far[..., None], 0.0, joined.slope),
-            joined.kind,
+        return GapRows.unchecked(
+            gap=np.where(is_far, FAR, joined.gap),
+            slope=np.where(is_far[..., None], 0.0, joined.slope),
+            kind=joined.kind,
         )
 
     def _obstacle_rows(
@@ -219,9 +217,9 @@ class BodyGaps:
         """Return the gap of each part to each solid, that of its nearest sphere."""
         obstacles, poses, k = around.placed(ages), at.platform, len(at.q)
         gaps, slopes = [], []
-        for each in self._rectangles:
+        for each in self.rectangles:
             gap, by_centre = rectangle_gap_derivative(
-                obstacles, each.poses(poses), each.half, self._heights
+                obstacles, each.poses(poses), each.half, self.heights
             )
             gaps.append(gap)
             slopes.append(_at_base(by_centre, poses, each))
@@ -244,8 +242,9 @@ class BodyGaps:
         kind, growth = np.full(len(obstacles), STANDING), np.zeros(len(obstacles))
         kind[still:], growth[still:] = MOVING, around.growth
         gap -= np.tile(growth, repeats) * np.maximum(ages, 0.0)[:, None]
+        gap -= np.tile(self._time_gap * around.pace * np.hypot(*around.velocities), repeats)
         kinds = np.broadcast_to(np.tile(kind, repeats), gap.shape)
-        return GapRows(gap, np.concatenate(slopes, axis=1), kinds)
+        return GapRows.unchecked(gap=gap, slope=np.concatenate(slopes, axis=1), kind=kinds)
 
     def _own_rows(self, at: Configurations, placed: PlacedSpheres, moved: Array) -> GapRows:
         """Return the nearest gaps of the robot's parts: to the deck, and between spheres."""
@@ -267,16 +266,16 @@ class BodyGaps:
         n = apart[rows, pair] / np.maximum(length[rows, pair], 1e-9)[..., None]
         change = moved[rows, self._second[pair]] - moved[rows, self._first[pair]]
         by_joints = np.concatenate([to_deck, np.einsum("kni,knij->knj", n, change)], axis=1)
-        return GapRows(
-            np.hstack([gap[rows, closest], between[rows, pair]]),
-            by_joints @ at.rates,
-            np.full((k, 4), OWN),
+        return GapRows.unchecked(
+            gap=np.hstack([gap[rows, closest], between[rows, pair]]),
+            slope=by_joints @ at.rates,
+            kind=np.full((k, 4), OWN),
         )
 
 
 def _for_spheres(obstacles: UprightObstacles) -> UprightObstacles:
     """Return obstacles with centres (2, ..., M) for spheres, which have an axis before M."""
-    return replace(obstacles, centre=obstacles.centre[..., None, :])
+    return obstacles.placed(obstacles.centre[..., None, :])
 
 
 def in_odom(poses: Array, points: Array) -> Array:

@@ -1,8 +1,6 @@
 """Receding-horizon control of platform and arm in the redundancy, with the tool on its path."""
 
-import enum
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,20 +9,21 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.motion_choice import MotionChoice, MotionChooser, rest_of
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.linearisation import Linearisation
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
-from omniman_ros.planning.whole_body.plan_check import PlanCheck, PlanVerdict
+from omniman_ros.planning.whole_body.plan_check import CycleCheck, PlanCheck, PlanVerdict
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, PATH_PARAMETER, ToolRedundancy
 
 PERIOD = 0.05  #: Time from cycle to cycle [s]; a plan begins one period after its cycle
-HISTORY_TIME = 0.2  #: Length of the past part of a motion that is kept [s]
-#: Time for which a new plan that is not clear is followed before it brakes [s]
-UNCLEAR_PLAN_TIME = 0.4
+#: Number of brakings of a motion that are checked in search of its longest clear part: a check of
+#: the whole body takes milliseconds
+BRAKINGS = 4
 #: Distance of an obstacle from the platform's place within a horizon beyond which it is left out
 #: [m], besides the platform's own radius.
 OBSTACLE_CUTOFF = 1.6
@@ -34,23 +33,14 @@ BRAKING_LIMIT_FRACTION = (
     0.7  #: Fraction of the limits on acceleration that braking along a plan uses
 )
 END_DISTANCE = 0.0005  #: Distance from the end of the path at which it is completed [m]
-AT_REST = 0.002  #: Rate below which the robot is at rest at the end [m/s, rad/s]
-
-
-class Choice(enum.Enum):
-    """What is followed after a cycle."""
-
-    PLAN = "plan"
-    BEGINNING = "plan, then braking"
-    LAST_PLAN = "last plan"
-    BRAKING = "braking"
+AT_REST = 0.002  #: Speed below which the tool is at rest at the end [m/s]
 
 
 @dataclass(frozen=True)
 class CycleOutcome:
     """Result of a cycle."""
 
-    choice: Choice  #: What is followed from now on
+    choice: MotionChoice  #: The motion that is followed from now on
     verdict: PlanVerdict  #: What the check says of it
     #: What is in the way of the whole new plan; None if nothing is
     obstruction: Obstruction | None = None
@@ -59,8 +49,8 @@ class CycleOutcome:
 class WholeBodyController:
     """Moves platform and arm along the path of the tool, past what stands and moves.
 
-    Each cycle improves the last plan by one Gauss-Newton step. A plan ends at rest, and is
-    followed only if it is clear to its end, or if nothing else is safer.
+    Each cycle improves the last plan by one Gauss-Newton step. A plan ends at rest. Its longest
+    clear part is followed, which brakes along the plan; see `MotionChooser`.
     """
 
     def __init__(
@@ -74,7 +64,9 @@ class WholeBodyController:
     ) -> None:
         self._redundancy, self._gaps, self._limits = redundancy, gaps, limits
         self._linearisation, self._check, self._options = linearisation, check, options
+        self._step, self._horizon = options.step, options.steps * options.step
         self.motion = _rest(0.0, np.zeros(COORDINATES))
+        self._choice: MotionChoice | None = None
 
     def begin(self, time: float, start: Array) -> None:
         """Begin at rest at a time [s] at redundancy coordinates (4,).
@@ -84,71 +76,88 @@ class WholeBodyController:
         """
         if not np.isfinite(self._redundancy.axes(start[None])).all():
             raise InputError("the arm does not reach the tool's path at the start")
-        self.motion = _rest(time, start)
+        self.motion, self._choice = _rest(time, start), None
 
     def is_completed(self, time: float) -> bool:
-        """Return whether the robot is at rest at the end of the path at a time [s]."""
+        """Return whether the tool is at rest at the end of the path at a time [s].
+
+        The platform may still move, to where it is to be there: that is not waited for.
+        """
         z, rates = self.motion.sample(time)
         is_there = self._redundancy.path.end - z[PATH_PARAMETER] <= END_DISTANCE
-        return bool(is_there and np.abs(rates).max() <= AT_REST)
+        return bool(is_there and rates[PATH_PARAMETER] <= AT_REST)
 
-    def cycle(self, now: float, way: PlatformPath, around: ObstacleSnapshot) -> CycleOutcome:
-        """Choose the motion from a time [s] on; the way of the platform leads the plans."""
+    def cycle(
+        self,
+        now: float,
+        way: PlatformPath,
+        around: ObstacleSnapshot,
+        ready: float | None = None,
+    ) -> CycleOutcome:
+        """Choose the motion from a time [s] on; the way of the platform leads the plans.
+
+        Args:
+            ready: Time at which the result is expected [s], before which nothing can brake; None:
+                at once.
+        """
+        ready = now if ready is None else ready
         around = self._near(now, around)
-        due = now + PERIOD
-        until = due + self._options.steps * self._options.step
-        plan, fault = self._plan(due, way, around)
-        best: tuple[HermiteTrajectory, CycleOutcome] | None = None
-        found = None
-        if plan is None:
-            found = Obstruction(
-                Cause.PROGRAM, float(self.motion.sample(due)[0][PATH_PARAMETER]), "", fault
-            )
-        for choice, motion in self._candidates(now, due, plan):
-            verdict = self._check.judge(motion, now, until, around)
-            found = found or verdict.obstruction
-            outcome = CycleOutcome(choice, verdict, found)
-            if verdict.is_clear:
-                best = motion, outcome
-                break
-            if best is None or verdict.is_safer(best[1].verdict):
-                best = motion, outcome
-        assert best is not None  # braking is always a candidate
-        self.motion, outcome = best
-        return outcome
+        due = max(now + PERIOD, ready)
+        check = CycleCheck(self._check, due + self._horizon, around)
+        last = self.motion = rest_of(self.motion, now)
+        plans, fault = self._plans(due, way, around)
+        chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS)
+        self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
+        self.motion = choice.motion
+        found = check.first.obstruction if plans and check.first is not None else None
+        if not plans:
+            place = float(last.sample(due)[0][PATH_PARAMETER])
+            found = Obstruction(Cause.PROGRAM, place, "", fault)
+        return CycleOutcome(choice, check.verdict(choice.motion, now), found)
 
-    def _plan(
+    def _plans(
         self, due: float, way: PlatformPath, around: ObstacleSnapshot
-    ) -> tuple[HermiteTrajectory | None, str]:
-        """Return the new plan from a time [s] on, or None and the reason."""
-        o = self._options
-        times: Array = due + o.step * np.arange(o.steps + 1.0)
-        z, rates = self.motion.at(times)
-        controls = np.diff(rates, axis=0) / o.step
-        for k in range(o.steps):
-            z[k + 1] = z[k] + o.step * rates[k] + 0.5 * o.step**2 * controls[k]
-        try:
-            z, rates = self._linearisation.improved(z, rates, controls, times, way, around)
-        except SolverError as error:
-            return None, str(error)
-        before = self.motion.between(max(self.motion.start, due - HISTORY_TIME - PERIOD), due)
-        return before.then(HermiteTrajectory(times, z, rates, np.zeros((o.steps, 0)))), ""
+    ) -> tuple[list[HermiteTrajectory], str]:
+        """Return new plans from a time [s] on, or none and the reason.
 
-    def _candidates(
-        self, now: float, due: float, plan: HermiteTrajectory | None
-    ) -> Iterator[tuple[Choice, HermiteTrajectory]]:
-        """Yield the motions to choose from, in the order of preference."""
-        if plan is not None:
-            yield Choice.PLAN, plan
-            yield Choice.BEGINNING, self.braked(plan, due + UNCLEAR_PLAN_TIME)
-        begins = max(self.motion.start, now - HISTORY_TIME)
-        last = self.motion.between(begins, max(self.motion.end, now + PERIOD))
-        yield Choice.LAST_PLAN, last
-        yield Choice.BRAKING, self.braked(last, now)
+        Where the last cycle had no clear plan, the second one is an evasion: it improves on a
+        robot that brakes at once, and so is free to go elsewhere.
+        """
+        last = self.motion
+        guesses = [last] if self._follows_plan else [last, self.braked(last, due)]
+        before = last.between(last.start, due)
+        plans, faults = [], []
+        for guess in guesses:
+            times: Array = due + self._step * np.arange(self._options.steps + 1.0)
+            z, rates = guess.at(times)
+            controls = np.diff(rates, axis=0) / self._step
+            for k, control in enumerate(controls):
+                z[k + 1] = z[k] + self._step * rates[k] + 0.5 * self._step**2 * control
+            try:
+                z, rates = self._linearisation.improved(z, rates, controls, times, way, around)
+            except SolverError as error:
+                faults.append(str(error))
+                continue
+            plan = HermiteTrajectory.unchecked(
+                times=times,
+                poses=z,
+                velocities=rates,
+                currents=np.zeros((self._options.steps, 0)),
+            )
+            plans.append(before.then(plan))
+        return plans, faults[0] if faults else ""
+
+    @property
+    def _follows_plan(self) -> bool:
+        """Whether the last cycle had a plan that could be followed."""
+        before = self._choice
+        return before is None or (before.is_clear and before.plan is not None)
 
     def braked(self, motion: HermiteTrajectory, time: float) -> HermiteTrajectory:
         """Return a motion that from a time [s] on is slowed down to rest on its own way."""
         z, rates = motion.sample(time)
+        if time >= motion.end:
+            return motion  # all motions end at rest
         if not np.abs(rates).max() > 0.0:
             return motion.between(motion.start, max(time, motion.start + PERIOD))
         at = self._redundancy.configurations(z[None])
@@ -160,7 +169,12 @@ class WholeBodyController:
         # Time on the motion goes by at a rate that falls linearly from 1 to 0.
         inner, inner_rates = motion.at(time + elapsed - 0.5 * elapsed**2 / duration)
         pace = (1.0 - elapsed / duration)[:, None]
-        tail = HermiteTrajectory(time + elapsed, inner, pace * inner_rates, np.zeros((count, 0)))
+        tail = HermiteTrajectory.unchecked(
+            times=time + elapsed,
+            poses=inner,
+            velocities=pace * inner_rates,
+            currents=np.zeros((count, 0)),
+        )
         if time <= motion.start + 1e-6:
             return tail
         return motion.between(motion.start, time).then(tail)
@@ -173,7 +187,7 @@ class WholeBodyController:
         reach = OBSTACLE_CUTOFF + self._gaps.radius
         index = np.flatnonzero(np.hypot(*offset) - extent < reach)
         moving = around.moving.obstacles.centre + (now - around.time) * around.moving.velocity
-        closing = np.hypot(*around.moving.velocity) * self._options.steps * self._options.step
+        closing = np.hypot(*around.moving.velocity) * self._horizon
         is_near = np.hypot(*(moving - places[:2, None])) - closing < reach + 1.0
         return around.selected(index, np.flatnonzero(is_near))
 

@@ -7,6 +7,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.corner_speeds import CornerSpeeds
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
@@ -31,6 +32,8 @@ TRUST = np.array([0.12, 0.12, 0.2, 0.12])
 SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])  #: Weights of the slack, by its class
 SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])  #: Weights of the squares of the slack
 PROGRESS_WEIGHT = 8.0  #: Weight of the distance on the path from where the tool should be [1/m^2]
+NEAR = 0.1  #: Distance from there below which that weight grows [m]
+LEAST_DISTANCE = 0.004  #: Distance below which it does not grow any more [m]
 #: Weights of the distance from the searched way [1/m^2, 1/rad^2]
 PATH_WEIGHTS = np.array([4.0, 4.0, 1.5])
 RATE_WEIGHT = 0.05  #: Weight of the joints' rates [s^2/rad^2]
@@ -42,6 +45,8 @@ GAP_CUTOFF = 0.6  #: Gap beyond which an obstacle does not matter to a plan [m]
 OWN_CLEARANCE = 0.02  #: Gap that plans keep between parts of the robot [m]
 ONSET = 1.3  #: Margin to singularities that plans keep, relative to the least one
 ANGLE_RESERVE = 0.05  #: Distance that plans keep from the ends of the joints [rad]
+#: Fractions of a step that are tried until all of it is within the arm's reach
+STEPS = (1.0, 0.5, 0.25)
 DIAGONAL = np.sqrt(0.5)  #: Fraction of the limit of a vector that each of its components may use
 
 
@@ -81,7 +86,8 @@ class Linearisation:
             ]
         )
         self._signs = resolver.signs(redundancy.centre)
-        count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels)
+        self._corners = CornerSpeeds(redundancy.path, (1.0 - reserve) * acceleration)
+        count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels) + 3
         self._program = RedundancyProgram(
             options.steps, options.step, count, SLACK_LINEAR, SLACK_QUADRATIC
         )
@@ -111,13 +117,18 @@ class Linearisation:
                 self._gap_rows(at, around, times[1:] - around.time),
                 self._arm_rows(at, rates[1:], controls),
                 self._wheel_rows(at, rates[1:]),
+                self._path_rows(z[:, PATH_PARAMETER], rates[1:, PATH_PARAMETER]),
             ]
         )
         step = self._program.solve(rows, self._cost(at, z, rates, controls, way))
-        better, better_rates = z.copy(), rates.copy()
-        better[1:] += step.states[:, :COORDINATES]
-        better_rates[1:] += step.states[:, COORDINATES:]
-        better_rates[-1] = 0.0
+        # The dynamics are linear: a part of a step obeys them, too.
+        for fraction in STEPS:
+            better, better_rates = z.copy(), rates.copy()
+            better[1:] += fraction * step.states[:, :COORDINATES]
+            better_rates[1:] += fraction * step.states[:, COORDINATES:]
+            better_rates[-1] = 0.0  # as that of the guess, but for rounding
+            if np.isfinite(self._redundancy.axes(better[1:])).all():
+                break
         return better, better_rates
 
     def _cost(
@@ -133,7 +144,11 @@ class Linearisation:
         by_z[:, :3, PATH_PARAMETER] = -slope
         by_z[:, 3, PATH_PARAMETER] = 1.0
         off = np.column_stack([z[1:, :3] - pose, z[1:, PATH_PARAMETER] - wanted])
-        weights = np.append(PATH_WEIGHTS, PROGRESS_WEIGHT)
+        weights = np.empty((n, 1, 4))
+        weights[..., :3] = PATH_WEIGHTS
+        # Below NEAR the cost is about the distance, not its square: the robot does not creep.
+        near = NEAR / np.clip(np.abs(off[:, 3]), LEAST_DISTANCE, NEAR)
+        weights[:, 0, 3] = PROGRESS_WEIGHT * near
         hessian, gradient = np.zeros((n, STATES, STATES)), np.zeros((n, STATES))
         weighted = np.swapaxes(by_z, 1, 2) * weights
         hessian[:, :COORDINATES, :COORDINATES] = 2.0 * weighted @ by_z
@@ -145,8 +160,6 @@ class Linearisation:
         hessian[:, range(STATES), range(STATES)] += 1e-4
         states = np.empty((2, n, STATES))
         states[0, :, :COORDINATES], states[1, :, :COORDINATES] = -TRUST, TRUST
-        beyond = end - z[1:, PATH_PARAMETER]
-        states[1, :, PATH_PARAMETER] = np.maximum(np.minimum(TRUST[PATH_PARAMETER], beyond), 0.0)
         states[0, :, COORDINATES:] = np.minimum(-self._top - rates[1:], 0.0)
         states[1, :, COORDINATES:] = np.maximum(self._top - rates[1:], 0.0)
         states[0, :, COORDINATES + PATH_PARAMETER] = np.minimum(-rates[1:, PATH_PARAMETER], 0.0)
@@ -158,7 +171,14 @@ class Linearisation:
             ]
         )
         bend = 2.0 * CONTROL_WEIGHTS
-        return Quadratic(hessian, gradient, bend, bend * controls, control, states)
+        return Quadratic.unchecked(
+            hessian=hessian,
+            gradient=gradient,
+            control_hessian=bend,
+            control_gradient=bend * controls,
+            control_bounds=control,
+            state_bounds=states,
+        )
 
     def _gap_rows(self, at: Configurations, around: ObstacleSnapshot, ages: Array) -> StageRows:
         """Return the rows of the nearest gaps."""
@@ -166,11 +186,11 @@ class Linearisation:
         found = self._gaps.rows(at, around, ages, GAP_CUTOFF, o.gaps)
         clearance = np.array([OWN_CLEARANCE, o.clearance, o.moving_clearance])[found.kind]
         by_x = np.concatenate([found.slope, np.zeros_like(found.slope)], axis=2)
-        return StageRows(
-            found.gap - clearance,
-            by_x,
-            np.zeros_like(found.slope),
-            np.array([STANDING, STANDING, MOVING])[found.kind],
+        return StageRows.unchecked(
+            value=found.gap - clearance,
+            by_x=by_x,
+            by_u=np.zeros_like(found.slope),
+            slack=np.array([STANDING, STANDING, MOVING])[found.kind],
         )
 
     def _arm_rows(self, at: Configurations, rates: Array, controls: Array) -> StageRows:
@@ -181,40 +201,63 @@ class Linearisation:
         n, zeros = len(rates), np.zeros_like(at.rates)
         margins, by_arm = self._resolver.margins(at.arm, self._signs)
         by_z = by_arm @ at.rates
-        singular = StageRows(
-            margins - ONSET * self._least_margin,
-            np.concatenate([by_z, np.zeros_like(by_z)], axis=2),
-            np.zeros_like(by_z),
-            np.full(margins.shape, LIMITS),
+        singular = StageRows.unchecked(
+            value=margins - ONSET * self._least_margin,
+            by_x=np.concatenate([by_z, np.zeros_like(by_z)], axis=2),
+            by_u=np.zeros_like(by_z),
+            slack=np.full(margins.shape, LIMITS),
         )
         middle, half = 0.5 * (self._upper + self._lower), 0.5 * (self._upper - self._lower)
         limits = np.full((n, len(middle)), LIMITS)
         off = at.arm - middle
         sign = -np.sign(off)
-        angles = StageRows(
-            half - np.abs(off),
-            np.concatenate([sign[..., None] * at.rates, zeros], axis=2),
-            zeros,
-            limits,
+        angles = StageRows.unchecked(
+            value=half - np.abs(off),
+            by_x=np.concatenate([sign[..., None] * at.rates, zeros], axis=2),
+            by_u=zeros,
+            slack=limits,
         )
         turning = (at.rates @ rates[:, :, None])[:, :, 0] / self._joint_speed
         sign = (-np.sign(turning) / self._joint_speed)[..., None]
-        speeds = StageRows(
-            1.0 - np.abs(turning),
-            np.concatenate([zeros, sign * at.rates], axis=2),
-            zeros,
-            limits,
+        speeds = StageRows.unchecked(
+            value=1.0 - np.abs(turning),
+            by_x=np.concatenate([zeros, sign * at.rates], axis=2),
+            by_u=zeros,
+            slack=limits,
         )
         bending = (at.rates @ controls[:, :, None])[:, :, 0] + self._redundancy.drift(at, rates)
         bending /= self._joint_acceleration
         sign = (-np.sign(bending) / self._joint_acceleration)[..., None]
-        accelerations = StageRows(
-            1.0 - np.abs(bending),
-            np.concatenate([zeros, zeros], axis=2),
-            sign * at.rates,
-            limits,
+        accelerations = StageRows.unchecked(
+            value=1.0 - np.abs(bending),
+            by_x=np.concatenate([zeros, zeros], axis=2),
+            by_u=sign * at.rates,
+            slack=limits,
         )
         return StageRows.join([singular, angles, speeds, accelerations])
+
+    def _path_rows(self, places: Array, speeds: Array) -> StageRows:
+        """Return the rows of the tool's speeds (N,) in bends, and of the end of its path.
+
+        The tool is at places (N + 1,). A bend between two nodes counts for both.
+        """
+        n, speed, distance = len(speeds), self._speed, self._speed * self._options.step
+        ahead = np.append(places[2:], places[-1])
+        cap = np.minimum(self._corners.cap(places[:-1], ahead), speed)
+        before, slope = self._corners.approach(places[1:])
+        left = self._redundancy.path.end - places[1:]
+        by_x = np.zeros((n, 3, STATES))
+        by_x[:, :2, COORDINATES + PATH_PARAMETER] = -1.0 / speed
+        by_x[:, 1, PATH_PARAMETER] = slope / speed
+        by_x[:, 2, PATH_PARAMETER] = -1.0 / distance
+        return StageRows.unchecked(
+            value=np.column_stack(
+                [(cap - speeds) / speed, (before - speeds) / speed, left / distance]
+            ),
+            by_x=by_x,
+            by_u=np.zeros((n, 3, COORDINATES)),
+            slack=np.full((n, 3), LIMITS),
+        )
 
     def _wheel_rows(self, at: Configurations, rates: Array) -> StageRows:
         """Return the rows of the wheels' speeds, CCTA 2017 (8)."""
@@ -227,9 +270,9 @@ class Linearisation:
         speed = (by_rate @ rates[:, :3, None])[:, :, 0]
         by_x = np.zeros((*speed.shape, STATES))
         by_x[:, :, COORDINATES : COORDINATES + 3] = -np.sign(speed)[..., None] * by_rate
-        return StageRows(
-            1.0 - np.abs(speed),
-            by_x,
-            np.zeros((*speed.shape, COORDINATES)),
-            np.full(speed.shape, LIMITS),
+        return StageRows.unchecked(
+            value=1.0 - np.abs(speed),
+            by_x=by_x,
+            by_u=np.zeros((*speed.shape, COORDINATES)),
+            slack=np.full(speed.shape, LIMITS),
         )

@@ -10,7 +10,11 @@ from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import Range
 from omniman_ros.core.validated import Validated
+
+#: Lowest pace at which what moves is predicted: below it, the robot all but stands
+SLOWEST_PACE = 0.1
 
 
 def _nothing() -> MovingObstacles:
@@ -32,6 +36,8 @@ class ObstacleSnapshot(Validated):
     moving: MovingObstacles = field(default_factory=_nothing)
     #: Rates (M,) at which the margin around each of the moving ones grows [m/s]
     growth: Annotated[Array, Shape("M")] = field(default_factory=lambda: np.zeros(0))
+    #: Rate at which the time of this snapshot passes, by the clock
+    pace: Annotated[float, Range(low=0.0)] = 1.0
     #: Names of all obstacles, the standing ones first; none if they are numbered
     names: tuple[str, ...] = ()
 
@@ -45,16 +51,33 @@ class ObstacleSnapshot(Validated):
                 f"growth has shape {self.growth.shape}, expected ({len(self.moving)},)"
             )
 
+    @property
+    def velocities(self) -> Array:
+        """Velocities (2, M) of all obstacles, the standing ones first [m/s]."""
+        return np.hstack([np.zeros((2, len(self.standing))), self.moving.velocity])
+
     def placed(self, ages: Array) -> UprightObstacles:
         """Return all M obstacles, the standing ones first, at times (k,) after theirs [s].
 
         Their centres (2, k, M) differ from time to time [m].
         """
         obstacles = UprightObstacles.join([self.standing, self.moving.obstacles])
-        velocity = np.zeros((2, len(obstacles)))
-        velocity[:, len(self.standing) :] = self.moving.velocity
+        velocity = self.velocities
+        return obstacles.placed(obstacles.centre[:, None] + ages[:, None] * velocity[:, None])
+
+    def slowed(self, time: float, pace: float) -> "ObstacleSnapshot":
+        """Return the same in the motion time of a robot at a pace, in which what moves is faster.
+
+        A robot slower than `SLOWEST_PACE` all but stands.
+        """
+        pace = max(pace, SLOWEST_PACE)
+        velocity, growth = self.moving.velocity / pace, self.growth / pace
         return replace(
-            obstacles, centre=obstacles.centre[:, None] + ages[:, None] * velocity[:, None]
+            self,
+            time=time,
+            moving=MovingObstacles(self.moving.obstacles, velocity),
+            growth=growth,
+            pace=pace,
         )
 
     def selected(self, standing: Indices, moving: Indices) -> "ObstacleSnapshot":
@@ -65,6 +88,7 @@ class ObstacleSnapshot(Validated):
             self.standing.select(standing),
             MovingObstacles(self.moving.obstacles.select(moving), self.moving.velocity[:, moving]),
             self.growth[moving],
+            self.pace,
             tuple(labels[k] for k in (*standing.tolist(), *(still + moving).tolist())),
         )
 

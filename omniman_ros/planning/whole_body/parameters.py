@@ -62,8 +62,20 @@ class AvoidanceOptions(Validated):
     moving_clearance: float = parameter(
         0.1, "Gap that plans keep to what moves, before its growth.", unit="m", low=0.0, high=1.0
     )
+    time_gap: float = parameter(
+        0.35,
+        "Time in which what moves covers the gap that plans keep to it besides: people turn.",
+        unit="s",
+        low=0.0,
+        high=5.0,
+    )
     least_clearance: float = parameter(
-        0.03, "Gap below which a plan is not followed.", unit="m", low=0.0, high=1.0
+        0.04,
+        "Gap below which a plan is not followed: above the margin of `collision_monitor`, which "
+        "would hold the robot there.",
+        unit="m",
+        low=0.0,
+        high=1.0,
     )
     own_clearance: float = parameter(
         0.01,

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -16,8 +17,10 @@ from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
 
 SAMPLE_STEP = 0.04  #: Time between two samples of a motion [s]
-#: How much nearer a body may come that is within the least clearance at the beginning [m]
-APPROACH = 0.002
+#: Part of the least gaps that a robot may consume which is about as close as allowed [m]. It does
+#: not add up over cycles: a robot that is closer may move, but not closer.
+CONSUMED = 0.005
+GAP_TOLERANCE = 1e-6  #: Difference below which gaps count as equal [m]
 #: Fraction of a limit of the arm and the wheels that a motion may use between the program's nodes;
 #: the program leaves the reserve of the limits free.
 EXCESS = 1.1
@@ -36,8 +39,10 @@ class PlanVerdict:
     """Result of a check."""
 
     obstruction: Obstruction | None  #: Why the motion must not be followed; None if it may
-    is_possible: bool  #: Whether it keeps reach, limits and the gaps of the robot to itself
-    #: Time until a part of the robot touches something, if all move on as they do [s]
+    #: Time from which it must not be followed [s]; infinite if it may
+    obstructed_at: float
+    #: Time at which a part of the robot touches something, if all move on as they do [s]; minus
+    #: infinity if the motion breaks reach or limits
     contact: float
     gap: float  #: Least gap on the way [m]
     #: Obstacle that leaves the least room on the way; None without any
@@ -47,11 +52,6 @@ class PlanVerdict:
     def is_clear(self) -> bool:
         """Whether the motion may be followed."""
         return self.obstruction is None
-
-    def is_safer(self, other: "PlanVerdict") -> bool:
-        """Whether contact comes later than with another motion, or the gap stays wider."""
-        mine, theirs = (self.is_possible, self.contact), (other.is_possible, other.contact)
-        return mine > theirs or (mine == theirs and self.gap > other.gap)
 
 
 class PlanCheck:
@@ -75,52 +75,55 @@ class PlanCheck:
         self, motion: HermiteTrajectory, now: float, until: float, around: ObstacleSnapshot
     ) -> PlanVerdict:
         """Check a motion to its end, or longer; what moves is looked at up to `until` [s]."""
+        o, standing = self._options, len(around.standing)
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)
         z, rates = motion.at(times)
         q = self._redundancy.axes(z)
-        if fault := self._impossible(times, z, rates, q):
-            return PlanVerdict(fault, False, 0.0, -math.inf)
+        if broken := self._impossible(times, z, rates, q):
+            fault, k = broken
+            return PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
-        obstacles = around.placed(times - around.time)
-        of_parts = self._gaps.to_obstacles(z[:, :3], placed, obstacles)
+        of_parts = self._gaps.to_obstacles(z[:, :3], placed, around.placed(times - around.time))
         gaps = of_parts.min(axis=1)
-        standing = len(around.standing)
         least = np.minimum(own, gaps.min(axis=1, initial=np.inf))
         touches = np.flatnonzero(least <= 0.0)
-        contact = float(times[touches[0]] - now) if len(touches) else math.inf
+        contact = float(times[touches[0]]) if len(touches) else math.inf
         grown = gaps.copy()
         grown[:, standing:] -= around.growth * (times - now)[:, None]
-        allowed = np.minimum(self._options.least_clearance, grown[0] - APPROACH)
-        is_near = (grown < allowed).any(axis=1)
-        own_allowed = min(self._options.own_clearance, float(own[0]) - APPROACH)
-        found = nearest = None
 
         def obstacle(k: int, index: int) -> Obstruction:
             cause = Cause.STANDING if index < standing else Cause.MOVING
             part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
             return Obstruction(cause, float(z[k, PATH_PARAMETER]), part, around.labels()[index])
 
+        found = nearest = None
         if gaps.shape[1]:
-            clearance = np.full(gaps.shape[1], self._options.clearance)
-            clearance[standing:] = self._options.moving_clearance
+            clearance = np.full(gaps.shape[1], o.clearance)
+            clearance[standing:] = o.moving_clearance
             room = grown - clearance
             nearest = obstacle(*divmod(int(room.argmin()), room.shape[1]))
-        if is_near.any():
-            k = int(is_near.argmax())
-            found = obstacle(k, int((grown - allowed)[k].argmin()))
-        elif (own < own_allowed).any():
-            k = int((own < own_allowed).argmax())
-            pair = self._gaps.nearest_own(placed, k)
-            found = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *pair)
-        return PlanVerdict(found, True, contact, float(least.min()), nearest)
+        is_near = _too_near(grown, o.least_clearance)
+        is_near_own = _too_near(own[:, None], o.own_clearance)[:, 0]
+        is_obstructed = is_near.any(axis=1) | is_near_own
+        k = int(is_obstructed.argmax())
+        if is_near[k].any():
+            found = obstacle(k, int(np.where(is_near[k], grown[k], np.inf).argmin()))
+        elif is_near_own[k]:
+            parts = self._gaps.nearest_own(placed, k)
+            found = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts)
+        obstructed_at = math.inf if found is None else float(times[k])
+        return PlanVerdict(found, obstructed_at, contact, float(least.min()), nearest)
 
-    def _impossible(self, times: Array, z: Array, rates: Array, q: Array) -> Obstruction | None:
-        """Return why a motion cannot be executed, or None."""
+    def _impossible(
+        self, times: Array, z: Array, rates: Array, q: Array
+    ) -> tuple[Obstruction, int] | None:
+        """Return why a motion cannot be executed, and the number of the sample; or None."""
         is_reached = np.isfinite(q).all(axis=1) & np.isfinite(rates).all(axis=1)
         if not is_reached.all():
-            return Obstruction(Cause.REACH, float(z[int(is_reached.argmin()), PATH_PARAMETER]))
+            k = int(is_reached.argmin())
+            return Obstruction(Cause.REACH, float(z[k, PATH_PARAMETER])), k
         limits, arm, span = self._limits, q[:, 3:], times[1] - times[0]
         margins, _ = self._resolver.margins(arm, self._signs)
         speeds = np.diff(arm, axis=0) / span
@@ -138,7 +141,49 @@ class PlanCheck:
         }
         for cause, broken in faults.items():
             if broken.any():
-                k, axis = np.unravel_index(int(broken.argmax()), broken.shape)
+                k, axis = divmod(int(broken.argmax()), broken.shape[1])
                 place = float(z[k, PATH_PARAMETER])
-                return Obstruction(cause, place, AXIS_NAMES[cause].format(int(axis) + 1))
+                return Obstruction(cause, place, AXIS_NAMES[cause].format(axis + 1)), k
         return None
+
+
+def _too_near(gaps: Array, least: float) -> NDArray[np.bool_]:
+    """Return which gaps (k, m) along a motion are below the least one without need."""
+    start = gaps[0]
+    allowed = least + np.clip(start - least - CONSUMED, -CONSUMED, 0.0)
+    leaves = (start <= least) & (gaps >= start - GAP_TOLERANCE)
+    result: NDArray[np.bool_] = (gaps < allowed) & ~leaves
+    return result
+
+
+class CycleCheck:
+    """The check of the motions of one cycle, each of which is judged once; see `MotionCheck`.
+
+    What moves is looked at up to `until` [s].
+
+    Attributes:
+        first: Verdict on the first motion that was judged, if any.
+    """
+
+    def __init__(self, check: PlanCheck, until: float, around: ObstacleSnapshot) -> None:
+        self._check, self._until, self._around = check, until, around
+        self._judged: dict[int, tuple[HermiteTrajectory, PlanVerdict]] = {}
+        self.first: PlanVerdict | None = None
+
+    def verdict(self, motion: HermiteTrajectory, now: float) -> PlanVerdict:
+        """Return the verdict on a motion from a time [s] on."""
+        known = self._judged.get(id(motion))
+        if known is None:
+            verdict = self._check.judge(motion, now, self._until, self._around)
+            self.first = self.first or verdict
+            known = self._judged[id(motion)] = motion, verdict
+        return known[1]
+
+    def contact(self, motion: HermiteTrajectory, now: float) -> float:
+        """Return the time from which a motion must not be followed [s]; infinity if it may."""
+        return self.verdict(motion, now).obstructed_at
+
+    def threat(self, motion: HermiteTrajectory, now: float) -> tuple[float, float]:
+        """Return the time of contact [s] and the least gap [m]; see `PlanVerdict.contact`."""
+        verdict = self.verdict(motion, now)
+        return verdict.contact, verdict.gap

@@ -25,6 +25,7 @@ from omniman_ros.motion.whole_body.redundancy_resolver import (
 )
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps, in_odom
+from omniman_ros.planning.whole_body.coarse_gaps import CoarseGaps
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import PathSearchOptions
@@ -70,6 +71,7 @@ class PlatformPathSearch:
     ) -> None:
         self._redundancy, self._path, self._gaps = redundancy, path, gaps
         self._resolver, self._options = resolver, options
+        self._coarse = CoarseGaps(gaps)
         self._least_margin = SINGULARITY_RESERVE * least_margin
         centre = redundancy.centre
         self._signs = resolver.signs(centre)
@@ -134,7 +136,7 @@ class PlatformPathSearch:
             result[configurations.cell[chosen]] = configurations.cost[chosen]
             return result, None
         near = near.select(index)
-        platform = self._gaps.platform(configurations.pose[chosen], near)
+        platform = self._coarse.platform(configurations.pose[chosen], near)
         least = platform.min(axis=1)
         is_free = least >= o.margin
         if not is_free.any():
@@ -142,7 +144,7 @@ class PlatformPathSearch:
             return result, (self._gaps.names[0], int(index[platform[best].argmin()]))
         chosen, gap = chosen[is_free], least[is_free]
         centres = np.moveaxis(configurations.placed.centre[chosen], -1, 0)
-        arm, sphere, obstacle = self._gaps.spheres_least(centres, near)
+        arm, sphere, obstacle = self._coarse.spheres_least(centres, near)
         gap = np.minimum(gap, arm)
         is_free = gap >= o.margin
         if not is_free.any():

@@ -36,11 +36,11 @@ class StageRows(Validated):
     @staticmethod
     def join(parts: "list[StageRows]") -> "StageRows":
         """Return all rows of several sets."""
-        return StageRows(
-            *(
-                np.concatenate([getattr(part, name) for part in parts], axis=1)
+        return StageRows.unchecked(
+            **{
+                name: np.concatenate([getattr(part, name) for part in parts], axis=1)
                 for name in ("value", "by_x", "by_u", "slack")
-            )
+            }
         )
 
 
@@ -158,6 +158,8 @@ class RedundancyProgram:
         found = self._qp.solve_entries(
             hessian[self._of_h], gradient.ravel(), source[self._of_a], bounds
         ).reshape(n, self._width)
-        return ProgramSolution(
-            found[:, :COORDINATES], found[:, inputs:], found[:, COORDINATES:inputs]
+        return ProgramSolution.unchecked(
+            controls=found[:, :COORDINATES],
+            states=found[:, inputs:],
+            slack=found[:, COORDINATES:inputs],
         )

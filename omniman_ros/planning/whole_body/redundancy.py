@@ -100,7 +100,9 @@ class ToolRedundancy:
         jacobian = self.model.jacobian_of(q, frames)
         right = np.concatenate([-jacobian[:, :, :3], twist[:, :, None]], axis=2)
         rates = _solved(jacobian[:, :, 3:], right)
-        return Configurations(z, q, rates, frames, jacobian, bend)
+        return Configurations.unchecked(
+            z=z, q=q, rates=rates, frames=frames, jacobian=jacobian, bend=bend
+        )
 
     def drift(self, at: Configurations, velocity: Array) -> Array:
         """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""

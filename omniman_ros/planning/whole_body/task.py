@@ -47,7 +47,7 @@ class BodyTask:
         limits, options, o = setup.limits, setup.path, setup.dodge
         resolver = RedundancyResolver(redundancy.model, limits, options)
         resolver.signs(start[3:])  # raises on a singularity, where there is no branch
-        gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing)
+        gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing, o.time_gap)
         least = options.singularity
         tool = (options.linear_velocity, options.linear_acceleration, least, options.reserve)
         self.redundancy, self.way = redundancy, way
@@ -68,16 +68,18 @@ class BodyTask:
             NoWayError: There is none; the way before stays.
         """
 
-    def cycle(self, now: float, around: ObstacleSnapshot) -> CycleOutcome:
+    def cycle(
+        self, now: float, around: ObstacleSnapshot, ready: float | None = None
+    ) -> CycleOutcome:
         """Choose the motion from a time [s] on; see :meth:`WholeBodyController.cycle`."""
-        return self.controller.cycle(now, self.way, around)
+        return self.controller.cycle(now, self.way, around, ready)
 
     def axes(self, times: Array) -> Array:
         """Return all axes (k, 9) at times (k,) [s] of the motion that is followed."""
         return self.redundancy.axes(self.controller.motion.at(times)[0])
 
     def is_completed(self, time: float) -> bool:
-        """Return whether the robot is at rest at the end of the path at a time [s]."""
+        """Return whether the tool is at rest at the end of the path at a time [s]."""
         return self.has_end and self.controller.is_completed(time)
 
 

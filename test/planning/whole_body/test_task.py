@@ -10,6 +10,7 @@ from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
@@ -53,6 +54,42 @@ def test_the_body_dodges_a_post_while_the_tool_stays_on_its_path():
     assert min(gaps) > SETUP.dodge.least_clearance
     joints = np.diff(axes[:, 3:], axis=0) / 0.02
     assert (np.abs(joints) < SETUP.limits.velocity[3:]).all()
+
+
+@pytest.mark.parametrize("corner", [0.4, None], ids=["corner", "straight"])
+def test_a_free_path_is_as_fast_as_its_limits_and_keeps_them_in_corners(corner):
+    poses = straight(0.8)
+    if corner is not None:
+        beyond = poses[:, 0, 3] - poses[0, 0, 3] > corner
+        poses[beyond, 1, 3] += poses[beyond, 0, 3] - poses[beyond, 0, 3].min() + 0.08
+        poses[beyond, 0, 3] = poses[~beyond, 0, 3].max()
+    model = WholeBodyModel(SETUP.description.mount)
+    planner = ToolPlanner(model, SETUP.limits, SETUP.path)
+    task = WholeBodyTask(SETUP, poses, START, 0.0, ObstacleSnapshot())
+    _, axes, _, end = drive(task, lambda now: ObstacleSnapshot(), 20.0, sample=0.01)
+    assert end - PERIOD <= 1.05 * planner.plan(poses, START).curve.duration
+    tool = model.forward(axes)[:, :3, 3]
+    hardest = np.linalg.norm(np.diff(tool, 2, axis=0), axis=1).max() / 0.01**2
+    assert hardest < 1.3 * SETUP.path.linear_acceleration
+    joints = np.abs(np.diff(axes[:, 3:], 2, axis=0)).max(axis=0) / 0.01**2
+    assert (joints < SETUP.limits.acceleration[3:]).all()
+
+
+def test_an_evasion_is_planned_only_where_the_last_plan_was_not_clear(monkeypatch):
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
+    line, guesses = task.controller._linearisation, []
+    improved = line.improved
+    monkeypatch.setattr(line, "improved", lambda *it: guesses.append(it[1]) or improved(*it))
+    drive(task, lambda now: ObstacleSnapshot(), 1.0)
+    assert len(guesses) == 20
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    near = posts((x + 0.34, y))  # nearer than the robot can brake
+    assert not task.cycle(1.0, near).choice.is_clear
+    guesses.clear()
+    task.cycle(1.0 + PERIOD, near)
+    assert len(guesses) == 2
+    assert np.abs(guesses[1]).sum() <= np.abs(guesses[0]).sum(), "the second one brakes"
 
 
 def test_the_robot_waits_for_a_walker_and_goes_on():
