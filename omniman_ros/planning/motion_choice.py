@@ -19,6 +19,7 @@ from omniman_ros.planning.motion import HermiteTrajectory
 CONTACT_DELAY = 0.1
 #: Increase of the smallest gap that makes a motion better if contact does not come sooner [m]
 GAP_GAIN = 0.005
+PREVIEW_DURATION = 0.4  #: Time for which a motion is sent ahead before it brakes [s]
 HISTORY_TIME = 0.5  #: Length of the past part of a motion that is kept [s]
 REST_SPAN = 1e-3  #: Shortest part of a motion that has ended [s]
 

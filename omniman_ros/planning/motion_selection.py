@@ -10,12 +10,17 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.cycle import AT_REST, CycleReport, MeasuredState
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.motion import HermiteTrajectory
-from omniman_ros.planning.motion_choice import HISTORY_TIME, MotionChoice, MotionChooser, rest_of
+from omniman_ros.planning.motion_choice import (
+    HISTORY_TIME,
+    PREVIEW_DURATION,
+    MotionChoice,
+    MotionChooser,
+    rest_of,
+)
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.safety import Surroundings
 
-PREVIEW_DURATION = 0.4  #: Time for which a motion is sent ahead before the preview brakes [s]
 #: Distance from the motion above which plans begin at the measured pose of the robot [m]
 REPLAN_POSITION_ERROR = 0.15
 #: Heading error above which plans begin at the measured pose of the robot [rad]

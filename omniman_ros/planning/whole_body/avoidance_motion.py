@@ -13,14 +13,18 @@ from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.planning.whole_body.controller import CycleOutcome
-from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.motion_choice import PREVIEW_DURATION
+from omniman_ros.planning.whole_body.controller import PERIOD, CycleOutcome
+from omniman_ros.planning.whole_body.obstacle_snapshot import SLOWEST_PACE, ObstacleSnapshot
 from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import BodyTask
 
 END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
 #: Step below which two motion times are the same, because motion time stands [s]
 SHORTEST_STEP = 1e-6
+#: Least motion time for which a motion is sent before it brakes [s]: a plan begins after a period
+LEAST_AHEAD = 3.0 * PERIOD
 
 
 class AvoidanceMotion:
@@ -30,6 +34,8 @@ class AvoidanceMotion:
         self.limits = limits
         self.state = PathState.IDLE
         self._task: BodyTask | None = None
+        self._sent: HermiteTrajectory | None = None
+        self._brakes_at = math.inf  # motion time from which it does so, if sent by a cycle
         self._has_arrived = False
         self.branch = 0
 
@@ -42,27 +48,57 @@ class AvoidanceMotion:
     def follow(self, task: BodyTask) -> None:
         """Follow a task, which begins at rest, from now on."""
         self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
+        self._sent, self._brakes_at = task.controller.motion, math.inf
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
 
+    @property
+    def sent(self) -> HermiteTrajectory:
+        """Motion to send: the beginning of the one that is followed, then braking on its way.
+
+        If the sender falls silent, the robot comes to rest on the path of its tool. It passes the
+        places of a motion that was checked, only slower.
+        """
+        assert self._sent is not None
+        return self._sent
+
     def cycle(
-        self, now: float, pace: float, around: ObstacleSnapshot, delay: float = 0.0
+        self,
+        now: float,
+        pace: float,
+        around: ObstacleSnapshot,
+        delay: float = 0.0,
+        ahead: float = PREVIEW_DURATION,
     ) -> CycleOutcome | None:
         """Choose the motion from a motion time on, which passes at a pace.
 
-        The result is used after a delay [s]. What is around is known now.
         The outcome is None while the robot does not follow its task, or has arrived.
+
+        Args:
+            around: What is around the robot now.
+            delay: Time after which the result is used [s].
+            ahead: Time for which the motion is sent, before it brakes [s].
         """
         if self.state is not PathState.FOLLOWING or self._has_arrived:
             return None
-        return self.task.cycle(now, around.slowed(now, pace), now + pace * delay)
+        controller = self.task.controller
+        if now + PERIOD > self._brakes_at:  # this comes late: the robot brakes by now
+            controller.motion = self.sent
+        outcome = self.task.cycle(now, around.slowed(now, pace), now + pace * delay)
+        self._brakes_at = now + max(pace * (delay + ahead), LEAST_AHEAD)
+        self._sent = controller.braked(controller.motion, self._brakes_at)
+        return outcome
+
+    def time_to_rest(self, now: float, pace: float) -> float:
+        """Return the time until the motion that is sent rests, at a pace [s]."""
+        return max(self.sent.end - now, 0.0) / max(pace, SLOWEST_PACE)
 
     def platform(self, now: float) -> Array:
         """Return the pose (3,) of the platform at a motion time [s]."""
-        return self.task.controller.motion.sample(now)[0][:PATH_PARAMETER]
+        return self.sent.sample(now)[0][:PATH_PARAMETER]
 
     def path_parameter(self, now: float) -> float:
         """Return the place on the path at a motion time [m]."""
-        return float(self.task.controller.motion.sample(now)[0][PATH_PARAMETER])
+        return float(self.sent.sample(now)[0][PATH_PARAMETER])
 
     def pause(self, now: float) -> None:
         """Come to rest on the path; a repeated request has no effect.
@@ -101,11 +137,13 @@ class AvoidanceMotion:
 
     def abort(self) -> None:
         """Forget the task at once: the robot is at rest, or the receiver stops it."""
-        self._task, self.state = None, PathState.IDLE
+        self._task, self._sent, self.state = None, None, PathState.IDLE
 
     def _brake(self, now: float) -> None:
         controller = self.task.controller
-        controller.motion = controller.braked(controller.motion, now + LEAD * TICK)
+        # What was sent is what the robot follows, even if it brakes already.
+        self._sent = controller.motion = controller.braked(self.sent, now + LEAD * TICK)
+        self._brakes_at = math.inf
 
     def update(self, now: float) -> None:
         """Update the state when the motion has come to rest."""
@@ -129,7 +167,7 @@ class AvoidanceMotion:
 
         The joints' x'' is the difference quotient of their x', and zero at a single time.
         """
-        redundancy, motion = self.task.redundancy, self.task.controller.motion
+        redundancy, motion = self.task.redundancy, self.sent
         z, rates = motion.at(times)
         # Rates change by steps in their derivative: its mean over a tick is smooth enough.
         change = (motion.at(times + 0.5 * TICK)[1] - motion.at(times - 0.5 * TICK)[1]) / TICK
@@ -148,7 +186,7 @@ class AvoidanceMotion:
 
     def tool(self, times: Array) -> Array:
         """Return planned poses (m, 4, 4) of `tool0` in odom at motion times (m,) [s]."""
-        places = self.task.controller.motion.at(times)[0][:, PATH_PARAMETER]
+        places = self.sent.at(times)[0][:, PATH_PARAMETER]
         return self.task.redundancy.path.pose(places)
 
     def demand(self, times: Array) -> LimitUsage | None:
@@ -163,12 +201,12 @@ class AvoidanceMotion:
         rate = pace.rate(now)
         if self._task is None or rate <= 0.0:
             return None
-        begin, followed = pace.motion(now), self.task.controller.motion
-        self._brake(begin)
-        end = max(self.task.controller.motion.end, begin)
+        begin, sent = pace.motion(now), self.sent
+        self._sent = self.task.controller.braked(sent, begin + LEAD * TICK)
+        end = max(self.sent.end, begin)
         times = begin + TICK * np.arange(math.ceil((end - begin) / TICK) + 2, dtype=float)
         window = Window(times, *self.sample(times))
-        self.task.controller.motion = followed
+        self._sent = sent
         return window.slowed(now, rate)
 
     def progress(self, now: float) -> float:
