@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.client.handle import MotionHandle
 from omniman_ros.client.shared_node import SharedNode
-from omniman_ros.nodes import motion_events
+from omniman_ros.nodes import motion_log
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 
 RECEIPT_TIMEOUT = 5.0  #: Time within which a node must report that it has received a motion [s]
@@ -62,7 +62,7 @@ class SentMotions:
             name: shared.client(f"{name}/cancel")
             for name in sorted({name for to in INPUTS.values() for name in to.nodes})
         }
-        shared.subscribe(DiagnosticStatus, motion_events.TOPIC, self._on_event, ALL_LATCHED)
+        shared.subscribe(DiagnosticStatus, motion_log.TOPIC, self._on_event, ALL_LATCHED)
         shared.subscribe(DiagnosticStatus, "mpc/status", self._on_planner, 10)
         shared.subscribe(Float64, "path_progress", self._on_progress, 10)
 
@@ -119,7 +119,7 @@ class SentMotions:
 
     def _reporters(self, node: str) -> frozenset[bytes]:
         """Return the identifiers of a node's publishers of events in the graph."""
-        topic = self._shared.name(motion_events.TOPIC)
+        topic = self._shared.name(motion_log.TOPIC)
         return frozenset(
             bytes(info.endpoint_gid)
             for info in self._shared.node.get_publishers_info_by_topic(topic)

@@ -31,11 +31,10 @@ from omniman_ros.nodes.map_interface import MapInterface
 from omniman_ros.nodes.obstacle_interface import ObstacleInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
-from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
 

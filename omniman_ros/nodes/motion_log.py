@@ -1,4 +1,4 @@
-"""What becomes of the motions of a node, from the request of each to its end; no ROS."""
+"""What becomes of the motions of a node, from the request of each to its end, and who is told."""
 
 import re
 from collections import Counter
@@ -7,8 +7,14 @@ from dataclasses import dataclass
 from enum import Enum
 from itertools import count
 
+from diagnostic_msgs.msg import DiagnosticStatus
+
 from omniman_ros.conversions.headers import Stamp
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.pending_start import PendingStart, StartState
+from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
 
 
 class MotionInput(Enum):
@@ -149,3 +155,88 @@ class MotionLog:
     def is_paused(self) -> bool:
         """Whether the motion under way is paused."""
         return self.driven is not None and self.driven.told[0] is MotionEvent.PAUSED
+
+
+TOPIC = "motion_events"
+_LOGGED = (MotionEvent.STARTED, MotionEvent.CANCELLED, MotionEvent.ARRIVED)
+
+
+class MotionEvents:
+    """Publishes `motion_events`, and numbers the motions of a node."""
+
+    def __init__(self, node: OmnimanNode) -> None:
+        self._node, self._numbers = node, count(1)
+        self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, ALL_LATCHED)
+        node.final_publishers.append(self._publisher)
+
+    def log(self, kind: MotionInput) -> MotionLog:
+        """Return a log whose events are published."""
+        return MotionLog(kind, self._numbers, self._tell)
+
+    def _tell(self, motion: LoggedMotion, event: MotionEvent, reason: str, text: str) -> None:
+        label = motion.kind.label
+        if event is MotionEvent.GIVEN_UP:
+            self._node.warn(f"{label} given up", text)
+        elif event in _LOGGED:
+            self._node.get_logger().info(f"{label}: {text}")
+        level = DiagnosticStatus.WARN if is_trouble(event, reason) else DiagnosticStatus.OK
+        values = [
+            ("kind", motion.kind.key),
+            ("event", event.value),
+            ("motion", motion.number),
+            ("request", motion.request),
+        ]
+        self._publisher.publish(self._node.status_message(level, reason, values))
+
+
+class PendingMotion:
+    """Has at most one accepted motion wait, and tells the log what becomes of it.
+
+    A `conflict` refuses a motion at once; for a `blocking_reason` it waits.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        monitor: StreamMonitor,
+        log: MotionLog,
+        blocking_reason: Callable[[], str],
+        conflict: Callable[[], str],
+    ) -> None:
+        self._monitor, self._log = monitor, log
+        self._blocking_reason, self._conflict = blocking_reason, conflict
+        self._pending = PendingStart(node.now, monitor)
+        self.motion: LoggedMotion | None = None  #: The motion that waits
+
+    def __bool__(self) -> bool:
+        return bool(self._pending)
+
+    def accept(self, motion: LoggedMotion, start: Callable[[], None]) -> str:
+        """Accept a motion in place of the one that waits; start it, return or raise why not."""
+        self.discard(MotionEvent.REPLACED)
+        self.motion = motion
+        self._pending.put(start)
+        return self.start()
+
+    def start(self) -> str:
+        """Start the motion that waits if possible; return why it is refused, or ""."""
+        refusal = self._monitor.blocking_reason or self._conflict()
+        attempt = self._pending.attempt(refusal, self._blocking_reason)
+        if self.motion is not None and attempt.state is StartState.WAITING:
+            self._log.report(self.motion, MotionEvent.WAITING, attempt.reason)
+            return ""
+        motion, self.motion = self.motion, None
+        if motion is not None and attempt.refusal:
+            self._log.refuse(motion, attempt.refusal)
+        return attempt.refusal
+
+    def discard(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
+        """Discard the motion that waits, and return whether there was one."""
+        motion, self.motion = self.motion, None
+        if motion is not None:
+            self._log.report(motion, event)
+        return self._pending.discard()
+
+    def restart_timeout(self) -> None:
+        """Let the motion wait for the whole timeout from now on."""
+        self._pending.restart_timeout()

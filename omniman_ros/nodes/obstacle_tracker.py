@@ -31,9 +31,9 @@ from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.obstacle_tracker_parameters import LASER, ObstacleTrackerParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.robot_streams import OdomFeed
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.perception.pose_history import PoseHistory
 from omniman_ros.perception.scan import Scan
 from omniman_ros.perception.scan_check import ScanCheck

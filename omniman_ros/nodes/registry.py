@@ -19,9 +19,9 @@ NODES = {
     "can_bridge": "nodes.can_bridge_parameters.CanBridgeParameters",
     "simulated_can_drives": "nodes.simulated_can_drives_parameters.SimulatedCanDrivesParameters",
     "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
-    "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
+    "path_interpolator": "nodes.path_interpolator.parameters.PathInterpolatorParameters",
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
-    "whole_body_planner": "nodes.whole_body_interfaces.parameters.WholeBodyPlannerParameters",
+    "whole_body_planner": "nodes.whole_body_planner.parameters.WholeBodyPlannerParameters",
     "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
     "collision_monitor": "nodes.collision_monitor_parameters.CollisionMonitorParameters",
     "obstacle_tracker": "nodes.obstacle_tracker_parameters.ObstacleTrackerParameters",
@@ -29,13 +29,18 @@ NODES = {
     "odometry": "nodes.odometry_parameters.OdometryNodeParameters",
     "viewer": "viewer.ros.parameters.ViewerParameters",
 }
+#: Nodes that have a folder, with their `main()` in its module `node`
+FOLDERS = ("path_interpolator", "whole_body_planner")
 #: Beginnings of the names of parameters that rclpy declares for every node
 _OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
 
 def node_module(name: str) -> str:
     """Return the module of an executable, which contains its `main()`."""
-    return "omniman_ros.viewer.node" if name == "viewer" else f"omniman_ros.nodes.{name}"
+    if name == "viewer":
+        return "omniman_ros.viewer.node"
+    module = f"omniman_ros.nodes.{name}"
+    return f"{module}.node" if name in FOLDERS else module
 
 
 def parameter_class(node: str) -> type:

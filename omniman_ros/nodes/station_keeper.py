@@ -19,12 +19,11 @@ from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.robot_streams import OdomFeed, platform_previews
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.station_keeper_parameters import StationKeeperParameters
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
-from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.nodes.trajectory_interfaces.previews import platform_previews
 
 
 class StationStream:

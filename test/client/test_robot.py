@@ -11,7 +11,7 @@ from omniman_ros.client.handle import MotionError, Outcome
 from omniman_ros.client.robot import Robot
 from omniman_ros.client.state import NodesRefusedError, RobotError, RobotTimeoutError
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.path_interpolator.node import PathInterpolatorNode
 from test.nodes.harness import PERIOD
 from test.nodes.test_mpc_planner import PlannerWithRealController
 

@@ -25,6 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from omniman_ros.console.session import Session
 from omniman_ros.core.arm_parameters import UR_JOINTS, ArmParameters
+from omniman_ros.nodes.registry import node_module
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.ros_domain import free_domain
 from omniman_ros.simulation.ur.arm import CYCLE
@@ -86,7 +87,7 @@ class Robot:
         self.reason = message.message
 
     def start(self, name, *parameters):
-        code = f"import sys; from omniman_ros.nodes.{name} import main; sys.exit(main())"
+        code = f"import sys; from {node_module(name)} import main; sys.exit(main())"
         words = [word for text in parameters for word in ("-p", text)]
         if self.namespace:
             words += ["-r", f"__ns:=/{self.namespace}"]

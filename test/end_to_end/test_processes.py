@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
+from omniman_ros.nodes.registry import node_module
 from test.nodes.harness import free_domain
 from test.tiers import exhaustive
 
@@ -59,7 +60,7 @@ class NodeProcesses:
         self.context.try_shutdown()
 
     def start(self, name: str, *parameters: str) -> subprocess.Popen:
-        code = f"import sys; from omniman_ros.nodes.{name} import main; sys.exit(main())"
+        code = f"import sys; from {node_module(name)} import main; sys.exit(main())"
         given = [PATIENT[name], *parameters]
         arguments = [word for text in given for word in ("-p", text)]
         command = [sys.executable, "-c", code, "--ros-args", *arguments]

@@ -23,7 +23,7 @@ from omniman_ros.conversions.poses import path_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
-from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.path_interpolator.node import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED

@@ -8,8 +8,13 @@ from omniman_ros.conversions.headers import SerializedStamp
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput, MotionLog
-from omniman_ros.nodes.pending_motion import PendingMotion
+from omniman_ros.nodes.motion_log import (
+    LoggedMotion,
+    MotionEvent,
+    MotionInput,
+    MotionLog,
+    PendingMotion,
+)
 
 AT_ONCE = [MotionEvent.RECEIVED, MotionEvent.STARTED]
 

@@ -27,7 +27,7 @@ from omniman_ros.core.pending_start import WAIT_TIMEOUT
 from omniman_ros.core.preview import Preview, Setpoint
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.path_interpolator.node import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED

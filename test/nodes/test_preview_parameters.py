@@ -2,8 +2,8 @@ import pytest
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
+from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.station_keeper_parameters import StationKeeperParameters
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from test import robots
 
 

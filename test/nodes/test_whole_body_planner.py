@@ -10,7 +10,7 @@ from visualization_msgs.msg import MarkerArray
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.nodes.whole_body_planner import WholeBodyPlannerNode
+from omniman_ros.nodes.whole_body_planner.node import WholeBodyPlannerNode
 from test.nodes.harness import PERIOD
 from test.nodes.test_path_interpolator_tool import START, ToolWorld
 from test.nodes.whole_robot import Judge, Post

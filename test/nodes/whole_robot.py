@@ -16,7 +16,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.nodes.arm_streamer import ArmStreamerNode
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
-from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.path_interpolator.node import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.simulated_world import SimulatedWorldNode

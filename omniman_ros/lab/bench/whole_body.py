@@ -40,7 +40,7 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import robot_parameters

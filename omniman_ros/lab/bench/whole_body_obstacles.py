@@ -30,7 +30,7 @@ from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup

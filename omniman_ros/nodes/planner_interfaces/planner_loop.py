@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.motion_events import MotionEvents
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
+from omniman_ros.nodes.motion_log import (
+    LoggedMotion,
+    MotionEvent,
+    MotionEvents,
+    MotionInput,
+    PendingMotion,
+)
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.pending_motion import PendingMotion
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.sensor_interface import (

@@ -29,7 +29,7 @@ from omniman_ros.lab.bench.harness import aims, at_least, at_most, lines
 from omniman_ros.lab.studies.tool_courses import tool_poses
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.robots import robot_parameters
 from test.running import wait_until
 

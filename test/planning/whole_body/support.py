@@ -8,7 +8,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup
 from omniman_ros.robots import robot_parameters

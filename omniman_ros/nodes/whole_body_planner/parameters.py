@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.nodes.path_interpolator.parameters import StreamParameters
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
-from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, led_tool
 
 

@@ -3,6 +3,7 @@
 Simulated time applies to the action; messages to the client are awaited in real time.
 """
 
+import inspect
 import os
 import subprocess
 import sys
@@ -27,8 +28,7 @@ import omniman_ros
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.trajectory_goal import ErrorCode, TrajectoryActionOptions
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.trajectory_interfaces import trajectory_action
-from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
+from omniman_ros.nodes.path_interpolator.node import (
     TrajectoryAction,
     serve_actions,
 )
@@ -372,8 +372,8 @@ def test_a_log_line_reports_missing_control_msgs(monkeypatch):
 def test_only_the_action_imports_control_msgs_and_only_when_served():
     root = Path(omniman_ros.__file__).parent
     files = {f for f in root.rglob("*.py") if "import FollowJointTrajectory" in f.read_text()}
-    assert files == {Path(trajectory_action.__file__)}
-    module = "omniman_ros.nodes.trajectory_interfaces.trajectory_action"
+    assert files == {Path(inspect.getfile(TrajectoryAction))}
+    module = "omniman_ros.nodes.path_interpolator.node"
     code = f"import sys, {module}; print('control_msgs' in sys.modules)"
     env = {**os.environ, "PYTHONPATH": str(ros_interfaces.folder("control_msgs") or "")}
     done = subprocess.run(

@@ -1,41 +1,40 @@
-"""Coordination of the node's motions: their inputs, their cycle and the requests to them."""
+"""Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
 import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.extras import PLANNING
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.motion_events import MotionEvents
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvents, MotionInput
+from omniman_ros.nodes.motion_time_base import MotionServices, MotionTimeBase, ScalingInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.path_interpolator.motions import HealthInput, LimitInterface, StreamContext
+from omniman_ros.nodes.path_interpolator.tool import (
+    BodyInterface,
+    ToolInterface,
+    ToolStream,
+    in_background,
+)
+from omniman_ros.nodes.path_interpolator.trajectories import MotionSupervisor
+from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed, arm_previews, platform_previews
+from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
-from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
-from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
-from omniman_ros.nodes.trajectory_interfaces.limit_interface import HealthInput, LimitInterface
-from omniman_ros.nodes.trajectory_interfaces.motion_context import StreamContext
-from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
-from omniman_ros.nodes.trajectory_interfaces.motion_time_base import (
-    MotionTimeBase,
-    ScalingInterface,
-)
-from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.nodes.trajectory_interfaces.previews import arm_previews, platform_previews
-from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface, in_background
-from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
-from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters
-from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
+from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
+from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction, status_values
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 
@@ -327,3 +326,72 @@ class BodyCoordinator:
         pace = min(self.whole_body.max_pace, self.limits.max_pace(motion_time))
         self._supervisor.limit_pace(pace)
         self.whole_body.tick()
+
+
+class WholeBodyPlannerNode(OmnimanNode):
+    """Serves paths and holds of the tool among obstacles as a ROS node."""
+
+    lookahead = 0.04  # about the time that a plan takes
+
+    def __init__(self, **options: object) -> None:
+        # Imported here, so that the parameters of this module can be read without casadi.
+        from omniman_ros.planning.whole_body.controller import PERIOD
+
+        super().__init__("whole_body_planner", **options)
+        self.settings = ParameterSet(self, WholeBodyPlannerParameters)
+        self.motions = BodyCoordinator(self, self.settings, PERIOD)
+        self.settings.on_change(self.motions.configure)
+        time_base = self.motions.context.time_base
+        services = MotionServices(self, time_base, self.motions.cancel, self.motions.send)
+        services.add("hold", self.motions.hold, lambda: self.motions.tool.log.text)
+        self._status_publisher = self.create_publisher(DiagnosticStatus, "body/status", 10)
+        self.every(PERIOD, self._tick)
+
+    def _tick(self) -> None:
+        self.motions.tick()
+        if self._status_publisher.get_subscription_count():
+            self._status_publisher.publish(self.status_message(*self.status()))
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Bring the robot to rest on its path, and accept nothing new."""
+        self.motions.begin_shutdown()
+
+    @property
+    def finished(self) -> bool:
+        """Whether no motion is under way."""
+        return self.motions.context.time_base.idle
+
+    @property
+    def stop_timeout(self) -> float:
+        """How long the robot may take to come to rest from now on [s], with a margin of 1 s."""
+        return 1.0 + self.motions.context.time_base.remaining()
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values for `body/status` and the diagnostics."""
+        motions, time_base = self.motions, self.motions.context.time_base
+        body, tool = motions.whole_body, motions.tool
+        waits = body.waiting_reason()
+        values: list[tuple[str, object]] = [
+            ("body", body.core.state.value),
+            ("body_progress", round(body.core.progress(time_base.now()), 4)),
+            ("waits", waits),
+            *status_values(None if body.idle else body.obstruction),
+            ("cycle_ms", round(1e3 * body.cycle_time, 2)),
+            ("obstacles", len(motions.surroundings)),
+            ("speed_scaling", round(motions.scaling.value, 4)),
+            ("body_event", body.log.event.value),
+            ("body_last", body.log.text),
+            ("tool_path_event", tool.log.event.value),
+            ("tool_path_last", tool.log.text),
+        ]
+        if waits:
+            return DiagnosticStatus.WARN, f"waits: {waits}", values
+        latest = max((body.log, tool.log), key=lambda log: log.order)
+        if latest.is_trouble and body.idle:
+            return DiagnosticStatus.WARN, latest.text, values
+        return DiagnosticStatus.OK, time_base.state.value, values
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node: entry point of `ros2 run omniman_ros whole_body_planner`."""
+    return run(WholeBodyPlannerNode, args, PLANNING)

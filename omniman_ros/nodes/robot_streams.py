@@ -1,0 +1,268 @@
+"""What is measured of the robot, as a node receives it, and previews of its motion."""
+
+import functools
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
+from omniman_ros.conversions.headers import check_frame
+from omniman_ros.conversions.trajectories import fill_reference, reference_message
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.preview import MAX_POINTS
+from omniman_ros.core.stamps import MAX_LEAD
+from omniman_ros.motion.path.joint_parameters import ArmFollowing
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window
+from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+#: Speed of the platform [m/s, rad/s] and of joints [rad/s] up to which they are at rest
+AT_REST = 0.02
+
+
+class OdomFeed:
+    """Subscribes to an odometry, and keeps the latest pose and velocity.
+
+    Attributes:
+        pose: Pose (x, y, theta) of base_link in odom [m, m, rad]; None before the first message.
+        velocity: (3,) rate of the pose, in odom [m/s, m/s, rad/s].
+        time: Time of the measurement on the node's clock [s].
+        silence: Age of the pose on arrival plus the node's own time since then [s].
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        topic: str,
+        frame: str,
+        on_pose: Callable[[Array, float], None],
+    ) -> None:
+        self._node, self._frame, self._on_pose = node, frame, on_pose
+        self.pose: tuple[float, float, float] | None = None
+        self.silence = 0.0
+        self.velocity: Array = np.zeros(3)
+        self.time = float("-inf")
+        node.create_subscription(Odometry, topic, node.guarded(topic, self._on_odom), 1)
+
+    def _on_odom(self, message: Odometry) -> None:
+        check_frame(message.header.frame_id, self._frame)
+        twist = twist_array(message.twist.twist)
+        position, theta = (
+            message.pose.pose.position,
+            yaw_from_quaternion(message.pose.pose.orientation),
+        )
+        plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
+        instant, now = self._node.instant(message.header.stamp), self._node.now()
+        self.time = min(instant, now)
+        self.silence = now - self.time
+        self.pose = (position.x, position.y, theta)
+        self.velocity = se2.to_world(theta, twist)
+        self._on_pose(np.array(self.pose), self.time)
+
+    @property
+    def age(self) -> float:
+        """Age of the pose [s]; infinite without one, and after time went back behind it."""
+        age = self._node.now() - self.time
+        return age if age >= -MAX_LEAD else math.inf
+
+    def pass_time(self, elapsed: float) -> None:
+        """Advance the silence by the node's own time [s].
+
+        Time during which the node itself is held up must not be counted in full, because odom is
+        not silent then.
+        """
+        self.silence += elapsed
+
+    def forget(self) -> None:
+        """Treat the last pose as too old, because time went back."""
+        self.time = float("-inf")
+
+    def blocking_reason(self, timeout: float) -> str:
+        """Return why no motion can start from rest; odom older than `timeout` [s] is a reason."""
+        age = self.age
+        if self.pose is None:
+            return "no odom"
+        if age > timeout:
+            return f"odom is {age:.2f} s old"
+        return "the robot moves" if np.abs(self.velocity).max() > AT_REST else ""
+
+
+MAX_LAG = 0.2  #: Longest time by which the arm may lag behind its reference [s]
+
+
+class ArmFeed:
+    """Subscribes to `arm/joint_states`, and remembers the recent reference of the arm.
+
+    Attributes:
+        silence: Age of the states on arrival plus the node's own time since then [s].
+        rest_position: (6,) joint angles at which the last motion came to rest [rad]; None if it
+            was given up, or there was none.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        names: tuple[str, ...],
+        is_moving: Callable[[], bool],
+        on_states: Callable[[], None],
+    ) -> None:
+        self._node, self._names = node, names
+        self._is_moving, self._on_states = is_moving, on_states
+        self.position: Array | None = None  #: (6,) joint angles [rad]
+        self.velocity: Array = np.zeros(len(names))  #: (6,) joint rates [rad/s]; or zeros
+        self.silence, self.time = 0.0, float("-inf")
+        self.rest_position: Array | None = None
+        self._references: deque[tuple[float, Array]] = deque()
+        self._reader = ArmStatesReader(node, names, self._on_message)
+
+    def _on_message(self) -> None:
+        if self._is_moving():
+            self.measure()
+            self._on_states()
+
+    def measure(self) -> None:
+        """Read the last message, unless that was done; raise InputError if it is unusable."""
+        self._adopt(self._reader.read())
+
+    def _adopt(self, states: ArmStates | None) -> None:
+        """Use states that have just been read, if there are any."""
+        if states is not None:
+            self.position, self.velocity = states.position, states.velocity
+            self.time = states.time
+            self.silence = max(self.age, 0.0)
+
+    def state(self) -> tuple[Array, Array] | None:
+        """Return the last usable joint angles [rad] and rates [rad/s], (6,) each, if any."""
+        self._adopt(self._reader.poll())
+        return None if self.position is None else (self.position, self.velocity)
+
+    @property
+    def age(self) -> float:
+        """Age of the last usable joint states [s]; infinite after time went back behind them."""
+        age = self._node.now() - self.time
+        return age if age >= -MAX_LEAD else math.inf
+
+    def pass_time(self, elapsed: float) -> None:
+        """Advance the silence by the node's own time [s].
+
+        Time during which the node itself is held up must not be counted in full, because the arm
+        is not silent then.
+        """
+        self.silence += elapsed
+
+    def start_motion(self) -> None:
+        """Note that a motion starts from rest."""
+        self.silence = 0.0
+        self._references.clear()
+
+    def record_reference(self, position: Array) -> None:
+        """Record the present reference (6,) of the arm [rad]."""
+        now = self._node.now()
+        self._references.append((now, position))
+        while self._references[0][0] < now - MAX_LAG - 2.0 * TICK:
+            self._references.popleft()
+
+    def following_error(self, max_error: float) -> str:
+        """Return which joint is over `max_error` [rad] from its reference of the last 0.2 s."""
+        if self.position is None or not self._references:
+            return ""
+        recent = np.array([reference for _, reference in self._references])
+        error = np.maximum(self.position - recent.max(axis=0), recent.min(axis=0) - self.position)
+        k = int(error.argmax())
+        if error[k] <= max_error:
+            return ""
+        return f"{self._names[k]} is {error[k]:.3f} rad from its reference"
+
+    def start_position(self, tolerance: float) -> Array | None:
+        """Return the joint angles (6,) at which a motion from rest starts [rad], or None.
+
+        They are exactly those at which the last motion came to rest, within the tolerance [rad].
+        """
+        rest, measured = self.rest_position, self.position
+        if rest is None or measured is None:
+            return measured
+        return rest if np.abs(rest - measured).max() <= tolerance else measured
+
+    def blocking_reason(self, options: ArmFollowing, *, idle: bool) -> str:
+        """Return why no motion of the arm can start, or an empty string.
+
+        It is such a reason that the last message cannot be used.
+        """
+        try:
+            self.measure()
+        except InputError as error:
+            return f"arm/joint_states: {error}"
+        if self.position is None:
+            return "no arm/joint_states"
+        age = max(self.age, self.silence) if idle else self.silence
+        if age > options.states_timeout:
+            return f"arm/joint_states are {age:.2f} s old"
+        if not idle or self.start_position(options.start_tolerance) is self.rest_position:
+            return ""
+        return "" if float(np.abs(self.velocity).max()) <= AT_REST else "the arm moves"
+
+    def forget(self) -> None:
+        """Forget all measurements, because time went back."""
+        self._reader.forget()
+        self.position, self.time = None, float("-inf")
+
+
+class Previews:
+    """Publishes stretches of a stream on a topic.
+
+    Args:
+        make: Returns an empty message for a number of points and their spacing [s].
+        fill: Writes a stretch into a message; its first point is due at the stamp.
+
+    Attributes:
+        covered_until: Time up to which receivers have a reference [s].
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        publisher: Publisher,
+        make: Callable[[int, float], Any],
+        fill: Callable[[Any, Time, Window], None],
+        horizon: float,
+    ) -> None:
+        self._node, self._make, self._fill = node, make, fill
+        self.covered_until, self.publisher = float("inf"), publisher
+        self._message = make(int(horizon / TICK) + 1, TICK)
+
+    def send(self, window: Window) -> None:
+        """Publish a stretch of the stream, whose spacing may be longer than a tick."""
+        message = self._message
+        points = min(len(window.times), MAX_POINTS)
+        step = float(window.times[1] - window.times[0])
+        if points != len(message.points) or not np.isclose(step, TICK, rtol=1e-3):
+            message = self._make(points, step)
+        self._fill(message, self._node.stamp(window.times[0]), window)
+        self.publisher.publish(message)
+        self.covered_until = float(window.times[points - 1])
+
+
+def platform_previews(node: OmnimanNode, topic: str, frame: str, horizon: float) -> Previews:
+    """Create the output of the platform's previews on a topic, with poses in `frame`."""
+    publisher = node.create_publisher(MultiDOFJointTrajectory, topic, QoSProfile(depth=1))
+    make = functools.partial(reference_message, frame)
+    return Previews(node, publisher, make, fill_reference, horizon)
+
+
+def arm_previews(node: OmnimanNode, names: tuple[str, ...], horizon: float) -> Previews:
+    """Create the output `arm/joint_reference`, with angles of the named joints."""
+    publisher = node.create_publisher(JointTrajectory, "arm/joint_reference", QoSProfile(depth=1))
+    make = functools.partial(arm_conversions.joint_reference_message, names)
+    return Previews(node, publisher, make, arm_conversions.fill_joint_reference, horizon)

@@ -1,1 +1,0 @@
-"""The inputs of the path interpolator, and the streams that it sends."""

@@ -1,0 +1,1 @@
+"""Node `whole_body_planner`."""
