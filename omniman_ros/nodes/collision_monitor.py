@@ -115,8 +115,8 @@ class CollisionMonitorInputs:
         p = settings.value
         self._joints = p.description.arm.joints
         self._has_arm = carries_arm(p.description.robot)
-        self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame, lambda pose, at: None)
-        self._arm = ArmFeed(node, self._joints, lambda: False, lambda: None)
+        self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame)
+        self._arm = ArmFeed(node, self._joints)
         frames = FrameTransforms(node, lambda: settings.value.frames)
         self._watch = SourceWatch(node, frames)
         self._obstacles = ObstacleInterface(node, frames, p.obstacles, self._watch)

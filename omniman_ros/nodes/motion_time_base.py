@@ -1,19 +1,24 @@
-"""The time base that all motions share, which can be slowed down for all of them together."""
+"""The time base that all motions of a node share, and what slows all of them down together."""
 
-import functools
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol
 
 import numpy as np
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
+from omniman_ros.conversions.motion_limits import motion_demand_message
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.motion_limit import MotionLimit, MotionLimitParameters
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.pace import LimitUsage, Pace
 from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 #: Excess over the range 0 to 1 that is accepted, distance from its ends that counts as none, and
@@ -21,13 +26,16 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 SCALING_TOLERANCE = 1e-3
 #: Lowest pace for which the end of the node waits until its motions are at rest
 SLOWEST_SHUTDOWN_PACE = 0.1
+#: Smallest change of a fraction that is acted upon at once; others wait for the next tick
+CHANGE = 0.01
+REST = 1e-6  #: Speed up to which a motion rests [m/s, rad/s]
 
 
 class ScalingInterface:
     """Subscribes to `arm/speed_scaling`, 0 to 1."""
 
-    def __init__(self, node: OmnimanNode, on_change: Callable[[], None]) -> None:
-        self.value, self.silence = 1.0, 0.0
+    def __init__(self, node: OmnimanNode, timeout: float, on_change: Callable[[], None]) -> None:
+        self.value, self.silence, self.timeout = 1.0, 0.0, timeout
         self._received = False
         self._on_change = on_change
         node.create_subscription(
@@ -38,6 +46,11 @@ class ScalingInterface:
         """Advance the silence by the time that has elapsed [s]."""
         if self._received:
             self.silence += elapsed
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether there has been no message for the timeout, since the first one."""
+        return self.silence > self.timeout
 
     def forget(self) -> None:
         """Return to the state before the first message."""
@@ -56,10 +69,71 @@ class ScalingInterface:
             self._on_change()
 
 
+class LimitInterface:
+    """Subscribes to `motion_limit`, and publishes what motions ask for on `motion_demand`.
+
+    A motion that stands because of the limit still asks for its direction: the limit depends on
+    it.
+    """
+
+    def __init__(
+        self, node: OmnimanNode, options: MotionLimitParameters, on_change: Callable[[], None]
+    ) -> None:
+        self._node, self._on_change = node, on_change
+        self._platform, self._arm = MotionLimit(options), MotionLimit(options)
+        self._acted_on = (1.0, 1.0)
+        subscribe_to_motion_limit(
+            node, platform=self._platform, arm=self._arm, on_update=self._act
+        )
+        self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
+
+    def configure(self, options: MotionLimitParameters) -> None:
+        """Use other parameters."""
+        self._platform.parameters = self._arm.parameters = options
+
+    def _act(self) -> None:
+        """Report a change of a fraction that is large enough."""
+        if np.abs(np.array(self.fractions) - self._acted_on).max() > CHANGE:
+            self._acted_on = self.fractions
+            self._on_change()
+
+    @property
+    def fractions(self) -> tuple[float, float]:
+        """Fractions of the speed limits that platform and arm may use now, 0 to 1."""
+        now = self._node.now()
+        return self._platform.fraction(now), self._arm.fraction(now)
+
+    def publish_demand(self, joints: Sequence[str], heading: Array, velocities: Array) -> None:
+        """Publish the first motion among velocities (k, 9) in odom, where a limit is used.
+
+        Args:
+            heading: (k,) headings of the platform [rad].
+            velocities: Velocities at full pace [m/s, m/s, rad/s, rad/s ...].
+        """
+        if not self._platform.parameters.use:
+            return
+        # At its begin a motion rests: it asks for what comes next.
+        moving = np.flatnonzero(np.abs(velocities).max(axis=1) > REST)
+        k = int(moving[0]) if len(moving) else 0
+        twist = se2.to_robot(float(heading[k]), velocities[k, PLATFORM_COLUMNS])
+        motion = [*twist.tolist(), *velocities[k, JOINT_COLUMNS].tolist()]
+        message = motion_demand_message(joints, motion, self._node.stamp(), "base_link")
+        self._demands.publish(message)
+
+
 class Interpolator(Protocol):
-    """Common interface of the interpolators of the platform, the arm and the whole body."""
+    """What generates a motion of d axes: of the platform, the arm or the whole body."""
 
     state: PathState
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, d) of the motion under way at increasing times (k,) [s]."""
+
+    def update(self, now: float) -> None:
+        """Update the state when the motion has come to rest."""
+
+    def abort(self) -> None:
+        """Discard the motion at once: it is at rest, or the receiver stops it."""
 
     def demand(self, times: Array) -> LimitUsage | None:
         """Return what the motion uses of its limits at motion times (k,) [s]; None if idle."""
@@ -88,11 +162,9 @@ class MotionTimeBase:
         interpolators: Sequence[Interpolator],
         clock: Callable[[], float],
         scaling: ScalingInterface,
-        scaling_timeout: Callable[[], float],
     ) -> None:
         self._interpolators = tuple(interpolators)
-        self._clock, self._scaling_timeout = clock, scaling_timeout
-        self._scaling = scaling
+        self._clock, self._scaling = clock, scaling
         self.pace = Pace(self._demand, TICK)
         self._paused_at_rest = False
 
@@ -115,7 +187,7 @@ class MotionTimeBase:
         """Return the current motion time [s]: the clock's time while nothing is slowed down."""
         now = self._clock()
         if self.idle:
-            if self._scaling.silence > self._scaling_timeout():
+            if self._scaling.is_silent:
                 self._scaling.forget()
             self._paused_at_rest = False
             self.pace.reset(now, self._scaling.value)
@@ -190,47 +262,3 @@ class MotionTimeBase:
         for part in others:
             total = total.beside(part)
         return total
-
-
-class MotionServices:
-    """Serves requests that concern all motions of a node.
-
-    Args:
-        publish: Called after a request was accepted, so that it takes effect at once.
-    """
-
-    def __init__(
-        self,
-        node: OmnimanNode,
-        time_base: MotionTimeBase,
-        cancel: Callable[[], None],
-        publish: Callable[[], None],
-    ) -> None:
-        self._node, self._publish = node, publish
-        for name, request in (
-            ("pause", time_base.pause),
-            ("resume", time_base.resume),
-            ("cancel", cancel),
-        ):
-            self.add(name, request, lambda: time_base.state.value)
-
-    def add(self, name: str, request: Callable[[], None], answer: Callable[[], str]) -> None:
-        """Serve `~/NAME`: a request that may raise RefusedError, and the answer after it."""
-        serve = functools.partial(self._serve, request, answer)
-        self._node.create_service(Trigger, f"~/{name}", serve)
-
-    def _serve(
-        self,
-        request: Callable[[], None],
-        answer: Callable[[], str],
-        _: Trigger.Request,
-        response: Trigger.Response,
-    ) -> Trigger.Response:
-        try:
-            request()
-        except RefusedError as error:
-            response.success, response.message = False, str(error)
-        else:
-            self._publish()
-            response.success, response.message = True, answer()
-        return response

@@ -30,16 +30,46 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 #: Speed of the platform [m/s, rad/s] and of joints [rad/s] up to which they are at rest
 AT_REST = 0.02
+MAX_LAG = 0.2  #: Longest time by which the arm may lag behind its reference [s]
 
 
-class OdomFeed:
+class _Feed:
+    """Measurements of a part of the robot, and how old they are.
+
+    Attributes:
+        time: Time of the last usable measurement on the node's clock [s].
+        silence: Age of the measurement on arrival plus the node's own time since then [s].
+    """
+
+    def __init__(self, node: OmnimanNode) -> None:
+        self._node = node
+        self.time, self.silence = float("-inf"), 0.0
+
+    @property
+    def age(self) -> float:
+        """Age of the measurement [s]; infinite without one, and after time went back behind it."""
+        age = self._node.now() - self.time
+        return age if age >= -MAX_LEAD else math.inf
+
+    def pass_time(self, elapsed: float) -> None:
+        """Advance the silence by the node's own time [s].
+
+        Time during which the node itself is held up must not be counted in full, because the robot
+        is not silent then.
+        """
+        self.silence += elapsed
+
+    def forget(self) -> None:
+        """Treat the last measurement as too old, because time went back."""
+        self.time = float("-inf")
+
+
+class OdomFeed(_Feed):
     """Subscribes to an odometry, and keeps the latest pose and velocity.
 
     Attributes:
         pose: Pose (x, y, theta) of base_link in odom [m, m, rad]; None before the first message.
         velocity: (3,) rate of the pose, in odom [m/s, m/s, rad/s].
-        time: Time of the measurement on the node's clock [s].
-        silence: Age of the pose on arrival plus the node's own time since then [s].
     """
 
     def __init__(
@@ -47,22 +77,18 @@ class OdomFeed:
         node: OmnimanNode,
         topic: str,
         frame: str,
-        on_pose: Callable[[Array, float], None],
+        on_pose: Callable[[Array, float], None] = lambda pose, at: None,
     ) -> None:
-        self._node, self._frame, self._on_pose = node, frame, on_pose
+        super().__init__(node)
+        self._frame, self._on_pose = frame, on_pose
         self.pose: tuple[float, float, float] | None = None
-        self.silence = 0.0
         self.velocity: Array = np.zeros(3)
-        self.time = float("-inf")
         node.create_subscription(Odometry, topic, node.guarded(topic, self._on_odom), 1)
 
     def _on_odom(self, message: Odometry) -> None:
         check_frame(message.header.frame_id, self._frame)
-        twist = twist_array(message.twist.twist)
-        position, theta = (
-            message.pose.pose.position,
-            yaw_from_quaternion(message.pose.pose.orientation),
-        )
+        twist, place = twist_array(message.twist.twist), message.pose.pose
+        position, theta = place.position, yaw_from_quaternion(place.orientation)
         plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
         instant, now = self._node.instant(message.header.stamp), self._node.now()
         self.time = min(instant, now)
@@ -70,24 +96,6 @@ class OdomFeed:
         self.pose = (position.x, position.y, theta)
         self.velocity = se2.to_world(theta, twist)
         self._on_pose(np.array(self.pose), self.time)
-
-    @property
-    def age(self) -> float:
-        """Age of the pose [s]; infinite without one, and after time went back behind it."""
-        age = self._node.now() - self.time
-        return age if age >= -MAX_LEAD else math.inf
-
-    def pass_time(self, elapsed: float) -> None:
-        """Advance the silence by the node's own time [s].
-
-        Time during which the node itself is held up must not be counted in full, because odom is
-        not silent then.
-        """
-        self.silence += elapsed
-
-    def forget(self) -> None:
-        """Treat the last pose as too old, because time went back."""
-        self.time = float("-inf")
 
     def blocking_reason(self, timeout: float) -> str:
         """Return why no motion can start from rest; odom older than `timeout` [s] is a reason."""
@@ -99,14 +107,15 @@ class OdomFeed:
         return "the robot moves" if np.abs(self.velocity).max() > AT_REST else ""
 
 
-MAX_LAG = 0.2  #: Longest time by which the arm may lag behind its reference [s]
-
-
-class ArmFeed:
+class ArmFeed(_Feed):
     """Subscribes to `arm/joint_states`, and remembers the recent reference of the arm.
 
+    Args:
+        on_message: Called with each message, which is read when it is asked for.
+
     Attributes:
-        silence: Age of the states on arrival plus the node's own time since then [s].
+        position: (6,) joint angles [rad]; None before the first usable message.
+        velocity: (6,) joint rates [rad/s]; zeros if they are not reported.
         rest_position: (6,) joint angles at which the last motion came to rest [rad]; None if it
             was given up, or there was none.
     """
@@ -115,22 +124,15 @@ class ArmFeed:
         self,
         node: OmnimanNode,
         names: tuple[str, ...],
-        is_moving: Callable[[], bool],
-        on_states: Callable[[], None],
+        on_message: Callable[[], None] = lambda: None,
     ) -> None:
-        self._node, self._names = node, names
-        self._is_moving, self._on_states = is_moving, on_states
-        self.position: Array | None = None  #: (6,) joint angles [rad]
-        self.velocity: Array = np.zeros(len(names))  #: (6,) joint rates [rad/s]; or zeros
-        self.silence, self.time = 0.0, float("-inf")
+        super().__init__(node)
+        self._names = names
+        self.position: Array | None = None
+        self.velocity: Array = np.zeros(len(names))
         self.rest_position: Array | None = None
         self._references: deque[tuple[float, Array]] = deque()
-        self._reader = ArmStatesReader(node, names, self._on_message)
-
-    def _on_message(self) -> None:
-        if self._is_moving():
-            self.measure()
-            self._on_states()
+        self._reader = ArmStatesReader(node, names, on_message)
 
     def measure(self) -> None:
         """Read the last message, unless that was done; raise InputError if it is unusable."""
@@ -147,20 +149,6 @@ class ArmFeed:
         """Return the last usable joint angles [rad] and rates [rad/s], (6,) each, if any."""
         self._adopt(self._reader.poll())
         return None if self.position is None else (self.position, self.velocity)
-
-    @property
-    def age(self) -> float:
-        """Age of the last usable joint states [s]; infinite after time went back behind them."""
-        age = self._node.now() - self.time
-        return age if age >= -MAX_LEAD else math.inf
-
-    def pass_time(self, elapsed: float) -> None:
-        """Advance the silence by the node's own time [s].
-
-        Time during which the node itself is held up must not be counted in full, because the arm
-        is not silent then.
-        """
-        self.silence += elapsed
 
     def start_motion(self) -> None:
         """Note that a motion starts from rest."""
@@ -215,8 +203,9 @@ class ArmFeed:
 
     def forget(self) -> None:
         """Forget all measurements, because time went back."""
+        super().forget()
         self._reader.forget()
-        self.position, self.time = None, float("-inf")
+        self.position = None
 
 
 class Previews:

@@ -38,7 +38,7 @@ class StationStream:
         p = settings.value
         self._node, self._settings, self._core = node, settings, core
         self.monitor = StreamMonitor(p.restart, "station")
-        self.odom = OdomFeed(node, "odom", p.odom_frame, lambda pose, at: None)
+        self.odom = OdomFeed(node, "odom", p.odom_frame)
         self._pending = PendingStart(node.now, self.monitor)
         self._previews = platform_previews(node, "station/reference", p.odom_frame, p.horizon)
         self._ticked_at = node.now()

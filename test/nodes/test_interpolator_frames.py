@@ -76,7 +76,7 @@ def test_a_tool_path_in_map_keeps_the_orientation_that_it_leaves_out():
         message = path_message(np.array([[*localisation.in_map(np.zeros(3))[:2], 0.0]]), "map")
         message.poses[0].pose.orientation.w = 0.0
         message.poses[0].pose.position.z = 0.7
-        place = world.node.motions.context.frames.into_odom(message.header).matrix()
+        place = world.node.motions.frames.into_odom(message.header).matrix()
         [pose] = tool._poses(message, place, np.eye(3))
         expected = np.eye(4)
         expected[2, 3] = 0.7

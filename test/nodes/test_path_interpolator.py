@@ -79,7 +79,7 @@ class InterpolatorWorld(World):
         self.paths = self.publisher(Path, "path")
 
     def subscription_count(self) -> int:
-        return int(self.node.motions.context.platform_previews.publisher.get_subscription_count())
+        return int(self.node.motions.platform_previews.publisher.get_subscription_count())
 
     def _on_reference(self, data: bytes) -> None:
         self.references.append(data)
@@ -241,7 +241,7 @@ class RealControllerWorld(InterpolatorWorld):
 
         What the probe hears does not tell: it may hear the first, latched report twice.
         """
-        monitor = self.node.motions.context.stream_monitor
+        monitor = self.node.motions.stream_monitor
         self.run_until(lambda: monitor.source == "none", 2.0, "none to drive")
 
     @property
@@ -512,7 +512,7 @@ INVALID_ODOM: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("odd", "why"), INVALID_ODOM.values(), ids=INVALID_ODOM)
 def test_invalid_odometry_is_ignored(odd, why):
     with FakeControllerWorld(source="") as world:
-        world.node.motions.context.odom.pose = None  # as before the first message
+        world.node.motions.odom.pose = None  # as before the first message
         world.odometry = lambda: invalid_odom(world, **odd)
         world.publish_source("none")
         world.run(0.05)

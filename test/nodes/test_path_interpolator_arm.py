@@ -61,7 +61,7 @@ class ArmWorld(FakeControllerWorld):
         self.probe.create_subscription(
             JointTrajectory, "arm/joint_reference", self._on_joint_reference, 100, raw=True
         )
-        publisher = self.node.motions.context.arm_previews.publisher
+        publisher = self.node.motions.arm_previews.publisher
         self._await(lambda: publisher.get_subscription_count() > 0, "arm/joint_reference")
         self._states = self.publisher(JointState, "arm/joint_states")
         self._scalings = self.publisher(Float64, "arm/speed_scaling")
@@ -321,7 +321,7 @@ def test_no_trajectory_begins_without_joint_states(late):
     with ArmWorld() as world:
         world.arm_reports = late > 0.0
         if late == 0.0:
-            world.node.motions.context.arm_feed.forget()
+            world.node.motions.arm_feed.forget()
         world.run(late)
         world.arm_reports = False
         world.run(0.3)
@@ -411,7 +411,7 @@ def test_an_invalid_speed_scaling_is_ignored_with_a_warning(world, value):
     assert world.warnings and "arm/speed_scaling ignored" in world.warnings[0]
     world.run_to_end()
     world.assert_smooth()
-    assert world.node.motions.context.time_base.pace.plain
+    assert world.node.motions.time_base.pace.plain
 
 
 def test_a_speed_scaling_near_an_end_of_its_range_is_exactly_that_end(world):

@@ -226,7 +226,7 @@ def test_a_motion_goes_on_after_a_gap_in_odometry_that_is_short(world, gap):
     world.run(1.0)
     odometry, world.odometry = world.odometry, None
     world.run(gap)
-    is_slowed = not world.node.motions.context.time_base.pace.plain
+    is_slowed = not world.node.motions.time_base.pace.plain
     assert is_slowed == (gap > world.node.settings.value.odom_pause)
     world.odometry = odometry
     world.run_to_body_end()
@@ -300,8 +300,8 @@ def test_an_empty_trajectory_discards_a_waiting_motion(world):
 def test_a_jump_back_in_time_discards_the_joint_states(world):
     world.run(0.2)
     assert (
-        world.node.motions.context.arm_feed.position is not None
-        or world.node.motions.context.arm_feed._reader._data is not None
+        world.node.motions.arm_feed.position is not None
+        or world.node.motions.arm_feed._reader._data is not None
     )
     world.arm_reports = False
     world.time -= 500.0

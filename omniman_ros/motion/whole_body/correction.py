@@ -8,12 +8,19 @@ measurement until the arm has moved.
 """
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
+from omniman_ros.motion.path.pace import Pace
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 
@@ -23,6 +30,8 @@ MAX_GAP = 0.25  #: Time without a measurement after which the filter is reset [s
 MIN_SCALED_PACE = 0.1  #: Lowest pace from which joint speeds are scaled to another pace
 #: Number of consecutive measurements beyond the largest error that are no longer outliers
 OUTLIER_COUNT = 3
+#: Number of steps between a pace of 0 and 1; fewer changes of the pace disturb the motion less
+PACE_STEPS = 20
 FULL_PACE_ERROR = 0.5  #: Fraction of the largest error up to which the motion is not slowed down
 
 
@@ -172,3 +181,109 @@ def joint_speed_pace(velocities: Array, limits: Array, pace: float = 1.0) -> flo
     utilisation = float((np.abs(velocities) / limits).max(initial=0.0))
     reference_pace = max(pace, MIN_SCALED_PACE)  # at rest, the speed at full pace is unknown
     return min(reference_pace / max(utilisation, 1e-9), 1.0)
+
+
+class LedTool(Protocol):
+    """The tool of a planned motion."""
+
+    @property
+    def branch(self) -> int:
+        """Branch of the arm's inverse kinematics."""
+
+    def tool(self, times: Array) -> Array:
+        """Return poses (m, 4, 4) of `tool0` in odom at times (m,) of the motion [s]."""
+
+
+class ToolStream:
+    """A tool path under way, whose joint angles are corrected for the platform's error.
+
+    Args:
+        velocity: (6,) limits of the joint speeds [rad/s].
+    """
+
+    def __init__(
+        self,
+        model: WholeBodyModel,
+        plan: LedTool,
+        options: ToolPathOptions,
+        velocity: tuple[float, ...],
+    ) -> None:
+        self._model, self.plan, self._velocity = model, plan, np.array(velocity)
+        self.correction = PlatformCorrection(options)
+        self._joint_pace: float = 1.0
+        self._arm_offset: Array = np.zeros(len(velocity))
+
+    @property
+    def max_pace(self) -> float:
+        """Highest pace at which the path may be driven, 0 to 1."""
+        steps = np.floor(PACE_STEPS * min(self.correction.max_pace(), self._joint_pace))
+        return max(float(steps), 1.0) / PACE_STEPS  # a pace of 0 would remain 0
+
+    def corrected(
+        self,
+        times: Array,
+        pace: Pace,
+        sample: Callable[[Array], tuple[Array, Array, Array]],
+        plan_times: Callable[[Array], Array],
+    ) -> tuple[Window, Array]:
+        """Return all axes (k, 9) at times (k,) a tick apart [s], corrected, and the tool's pose.
+
+        Args:
+            sample: Returns x, x', x'' (k, 9) of the planned motion at motion times (k,) [s].
+            plan_times: Returns the times (k,) of the tool's motion at motion times (k,) [s].
+
+        Returns:
+            The corrected stretch, and the planned pose (4, 4) of `tool0` in odom at its begin.
+
+        Raises:
+            InputError: The tool cannot be reached from the platform.
+        """
+        # The times are padded by one tick on either side, for central differences.
+        padded = np.concatenate([times[:1] - TICK, times, times[-1:] + TICK])
+        paced = pace.sample(padded)
+        due = plan_times(paced.motion)
+        planned = paced_window(pace, sample, padded)
+        window = self.window(planned, due, float(paced.rate[0]))
+        offset = window.positions[0, JOINT_COLUMNS] - planned.positions[1, JOINT_COLUMNS]
+        self._arm_offset = offset
+        return window, self.plan.tool(due[1:2])[0]
+
+    def offset(self, planned: Window) -> Window:
+        """Return a planned motion (k, 9) whose arm keeps the correction of the last stretch."""
+        positions = planned.positions.copy()
+        positions[:, JOINT_COLUMNS] += self._arm_offset
+        return replace(planned, positions=positions)
+
+    def correct(self, time: float, pose: Array, reference: Array) -> str:
+        """Correct the arm for a measured and a planned pose (3,); return any excessive error.
+
+        Args:
+            pose: (3,) measured pose of the platform in odom [m, m, rad].
+        """
+        self.correction.update(time, pose, reference)
+        if self.correction.error_ratio <= 1.0:
+            return ""
+        x, y, theta = self.correction.error
+        return f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
+
+    def window(self, planned: Window, plan_times: Array, rate: float) -> Window:
+        """Replace the arm's part of a planned motion by the corrected one.
+
+        Args:
+            planned: All axes (k + 2, 9), from a tick before the result to a tick after it.
+            plan_times: (k + 2,) times of the plan [s].
+            rate: Present pace, 0 to 1.
+
+        Returns:
+            The corrected motion (k, 9).
+        """
+        platform = self.correction.platform_at(
+            planned.positions[:, PLATFORM_COLUMNS], planned.times
+        )
+        tool, near = self.plan.tool(plan_times), planned.positions[:, JOINT_COLUMNS]
+        arm = corrected_arm_motion(self._model, platform, tool, self.plan.branch, near, TICK)
+        self._joint_pace = joint_speed_pace(arm[1], self._velocity, rate)
+        whole = (planned.positions, planned.velocities, planned.accelerations)
+        parts = zip(whole, arm, strict=True)
+        joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
+        return Window(planned.times[1:-1], *joined)

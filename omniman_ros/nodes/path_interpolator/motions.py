@@ -1,264 +1,472 @@
-"""What the motions of a node share: services, previews, limits."""
+"""What the motions of a node share: one time base, limits, previews, supervision, requests."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
-from omniman_ros.collision.self_collision import SelfCollisionCheck
-from omniman_ros.conversions.headers import is_stamped
-from omniman_ros.conversions.motion_limits import motion_demand_message
 from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
-from omniman_ros.core import se2
-from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
-from omniman_ros.core.motion_limit import MotionLimit
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.motion.axes import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
-from omniman_ros.motion.path.interpolator import PathState
-from omniman_ros.motion.path.pace import Pace
+from omniman_ros.motion.axes import AXES, HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
+from omniman_ros.motion.path.interpolator import PathState, RefusedError
+from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.speed_bound import SpeedBound
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.motion_log import (
     LoggedMotion,
     MotionEvent,
     MotionEvents,
     MotionInput,
     MotionLog,
+    PendingMotion,
 )
-from omniman_ros.nodes.motion_time_base import Interpolator, MotionTimeBase
+from omniman_ros.nodes.motion_time_base import (
+    Interpolator,
+    LimitInterface,
+    MotionTimeBase,
+    ScalingInterface,
+)
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.path_interpolator.parameters import (
-    PathInterpolatorParameters,
-    StreamParameters,
-)
-from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed, Previews
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.path_interpolator.parameters import StreamParameters
+from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed, arm_previews, platform_previews
 from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 
-#: Number of attempts to plan from a motion under way, each with twice the time of the last
-PLANNING_ATTEMPTS = 3
-MAX_STAMP_AGE = 0.5  #: Age of a stamp up to which a trajectory is accepted, and starts at once [s]
-MIN_PLANNING_TIME = 0.03  #: Shortest planning time that is expected of a motion [s]
+#: Times from now at which the speed of a motion is compared with the limit [s]
+LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
 
-Proposal = TypeVar("Proposal")
 Options = TypeVar("Options", bound=StreamParameters, covariant=True)
 
 
-@dataclass(frozen=True)
-class StreamContext(Generic[Options]):
-    """Services and state that the interfaces share; the node builds it once."""
+class WaitingMotion(Protocol):
+    """A motion that is started as soon as that is possible."""
 
-    node: OmnimanNode  #: ROS node that owns topics, timers and the clock
-    read_options: Callable[[], Options]  #: Returns the current parameters of the node
-    events: MotionEvents  #: Tells clients what becomes of motions
-    frames: FrameTransforms  #: Transforms into odom
-    #: Monitor of the source that drives the platform, and of stopped nodes
-    stream_monitor: StreamMonitor
-    odom: OdomFeed  #: Measured pose and velocity of the platform
-    arm_feed: ArmFeed  #: Measured joint states of the arm
-    time_base: MotionTimeBase  #: Time base that all motions share
-    platform_previews: Previews  #: Output `path/reference` or `body/reference`
-    arm_previews: Previews  #: Output `arm/joint_reference`
-    #: Publishes previews of the given length [s] of all motions under way
-    publish_all: Callable[[float], None]
-    #: Called after a motion has started; publishes its first preview
-    on_started: Callable[[], None]
-    #: Returns why a motion of the given interface cannot start next to those of the others, or an
-    #: empty string.
-    conflict: Callable[[object], str]
-    is_ending: Callable[[], bool]  #: Returns whether the node is shutting down
+    def start(self) -> str:
+        """Start the motion if possible; return why it is refused, or an empty string."""
+
+    def discard(self) -> bool:
+        """Discard the motion that waits, and return whether there was one."""
+
+    def restart_timeout(self) -> None:
+        """Let the motion wait for the whole timeout from now on."""
+
+
+class MotionCoordinator(ABC, Generic[Options]):
+    """The motions of a node side by side: what they share, what ends them, requests to them.
+
+    A motion that the robot can no longer follow brakes on its path where its receivers still
+    listen. Receivers that are stopped, or have been without a preview, come to rest by themselves.
+
+    Args:
+        cores: What generates the motions.
+        source: Value of `active_source` while the node drives the platform.
+        period: Period of the ticks [s].
+
+    Attributes:
+        interfaces: Those that drive motions, and `waiting`: the motions that wait, by what they
+            are called. A subclass sets both.
+        is_ending: Whether the node is shutting down.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        settings: ParameterSet[Options],
+        cores: Sequence[Interpolator],
+        source: str,
+        period: float,
+    ) -> None:
+        p, odom_frame = settings.value, settings.value.frames.odom.odom_frame
+        self.node, self._settings, self._period = node, settings, period
+        self.interfaces: tuple[MotionInterface, ...] = ()
+        self.waiting: dict[str, WaitingMotion] = {}
+        self.is_ending = False
+        self.events = MotionEvents(node)
+        self.frames = FrameTransforms(node, lambda: settings.value.frames)
+        self.stream_monitor = StreamMonitor(p.restart, source)
+        self.odom = OdomFeed(node, "odom", odom_frame, self._on_pose)
+        self.arm_feed = ArmFeed(node, p.arm.joints, self._on_arm_states)
+        self.scaling = ScalingInterface(node, p.scaling_timeout, self.slow_down)
+        self.time_base = MotionTimeBase(cores, node.now, self.scaling)
+        self.platform_previews = platform_previews(
+            node, f"{source}/reference", odom_frame, p.horizon
+        )
+        self.arm_previews = arm_previews(node, p.arm.joints, p.horizon)
+        self._progress = node.create_publisher(Float64, "path_progress", 10)
+        self._limits = LimitInterface(node, p.collision_monitor, self.slow_down)
+        self._scales = LimitScales()
+        on_health = node.guarded("wheel_health", self._on_health)
+        node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
+        StreamMonitorInterface(node, self.stream_monitor, self.check_control)
+        self._slowed_at, self._ticked_at = float("-inf"), node.now()
+        self.serve("pause", self.time_base.pause)
+        self.serve("resume", self.time_base.resume)
+        self.serve("cancel", self.cancel)
 
     @property
     def options(self) -> Options:
         """Current parameters of the node."""
-        return self.read_options()
+        return self._settings.value
+
+    def configure_streams(self, new: StreamParameters) -> None:
+        """Set the parameters that all motions share."""
+        self._limits.configure(new.collision_monitor)
+        self.scaling.timeout = new.scaling_timeout
+        self.stream_monitor.silence = new.restart
+
+    # ---- requests -----------------------------------------------------------------------------
+
+    def serve(self, name: str, request: Callable[[], None], log: MotionLog | None = None) -> None:
+        """Serve `~/NAME`, a request that may raise RefusedError and takes effect at once.
+
+        Its client is told the state of the motions, or what a log says.
+        """
+        self.node.create_service(Trigger, f"~/{name}", partial(self._serve, request, log))
+
+    def _serve(
+        self,
+        request: Callable[[], None],
+        log: MotionLog | None,
+        _: Trigger.Request,
+        response: Trigger.Response,
+    ) -> Trigger.Response:
+        try:
+            request()
+        except RefusedError as error:
+            response.success, response.message = False, str(error)
+        else:
+            self.refresh()
+            answer = self.time_base.state.value if log is None else log.text
+            response.success, response.message = True, answer
+        return response
+
+    def cancel(self) -> None:
+        """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
+        discarded = [motion for motion in self.waiting.values() if motion.discard()]
+        if not self.time_base.idle or not discarded:
+            self.time_base.cancel()
+
+    def begin_shutdown(self) -> None:
+        """Bring all motions to rest on their paths, and accept nothing new."""
+        self.is_ending = True
+        self.frames.end_waiting()
+        for motion in self.waiting.values():
+            motion.discard()
+        if not self.time_base.idle:
+            self.time_base.cancel()
+            self.refresh()
+
+    # ---- motions ------------------------------------------------------------------------------
+
+    @abstractmethod
+    def scale_limits(self, scale: float) -> None:
+        """Scale the limits of the platform, 0 to 1, to what it is capable of now."""
+
+    def refresh(self) -> None:
+        """Publish previews at once, because something has changed."""
+        self.stream()
+
+    def slow_down(self) -> None:
+        """Slow down at once; further changes within a tick wait for the next one."""
+        if not self.time_base.idle and self.node.now() - self._slowed_at >= TICK:
+            self._slowed_at = self.node.now()
+            self.refresh()
+
+    def release(self) -> None:
+        """Publish the first preview of a motion that has started."""
+        self.time_base.release()
+        self.refresh()
+
+    def conflict(self, interface: "MotionInterface") -> str:
+        """Return why a motion cannot start next to those of the other interfaces, or ""."""
+        for rival in self.interfaces:
+            if rival is not interface and not rival.idle and rival.output.meets(interface.output):
+                return rival.under_way
+        return ""
 
     def control_wait_reason(self) -> str:
         """Return why a new stream must wait for the platform controller, or an empty string."""
         waits = self.stream_monitor.waiting_time(self.node.now()) > 0.0
         return "control was lost a moment ago" if waits else ""
 
+    def publish_all(self, horizon: float) -> None:
+        """Publish previews of the given length [s] of all motions under way."""
+        for interface in self.interfaces:
+            interface.publish(horizon)
 
-#: What interfaces need that serve more than one node
-BodyContext = StreamContext[StreamParameters]
+    def supervise(self) -> None:
+        """Give up what the robot can no longer follow, and start what waits."""
+        since_tick, self._ticked_at = self.node.now() - self._ticked_at, self.node.now()
+        self._check_time(since_tick)
+        if since_tick < -TIME_JUMP:
+            for motion in self.waiting.values():
+                motion.restart_timeout()
+        self.check_control()
+        for kind, motion in self.waiting.items():
+            if refusal := motion.start():
+                self.node.warn(f"{kind} refused", f"{kind} not used: {refusal}")
+
+    def stream(self) -> None:
+        """Publish progress, the demand, and previews at the pace that is allowed now."""
+        if self.time_base.idle:
+            return
+        self._progress.publish(Float64(data=self.time_base.progress()))
+        allowed = self._allowed_pace(self.time_base.now())
+        self._limit_pace(min(allowed, *(interface.max_pace for interface in self.interfaces)))
+        for interface in self.interfaces:
+            interface.tick()
+
+    def _allowed_pace(self, motion_time: float) -> float:
+        """Publish the demand from a motion time [s] on; return the highest pace in the limit."""
+        p, fractions = self.options, self._limits.fractions
+        is_limited = min(fractions) < 1.0
+        if not (is_limited or p.collision_monitor.use):
+            return 1.0
+        heading, velocities = self._velocities(motion_time)
+        self._limits.publish_demand(p.arm.joints, heading, velocities)
+        if not is_limited:
+            return 1.0
+        bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
+        return bound.pace(velocities, *fractions)
+
+    def _velocities(self, motion_time: float) -> tuple[Array, Array]:
+        """Return headings (k,) [rad] and velocities (k, 9) in odom over the next times."""
+        times = motion_time + LOOK_AHEAD
+        heading, velocities = np.zeros(len(times)), np.zeros((len(times), AXES))
+        for interface in self.interfaces:
+            if not interface.idle:
+                position, velocity, _ = interface.core.sample(times)
+                velocities[:, interface.output.columns] = velocity
+                if interface.output.has_platform:
+                    heading = position[:, HEADING_COLUMN]
+        return heading, velocities
+
+    def _on_health(self, message: DiagnosticStatus) -> None:
+        before, self._scales = self._scales, reported_limit_scales(message)
+        if self._scales.wheels > before.wheels:  # the controller was reset, and expects a silence
+            self.stream_monitor.restart(self.node.now())
+        if self._scales.total != before.total:
+            self.scale_limits(self._scales.total)
+
+    # ---- supervision --------------------------------------------------------------------------
+
+    @property
+    def _with_platform(self) -> "list[MotionInterface]":
+        return [it for it in self.interfaces if it.output.has_platform]
+
+    @property
+    def _with_arm(self) -> "list[MotionInterface]":
+        return [it for it in self.interfaces if it.output.has_arm]
+
+    def _give_up(self, motions: "Sequence[MotionInterface]", why: str, *, brake: bool) -> None:
+        for motion in motions:
+            motion.give_up(why, brake=brake)
+
+    def check_control(self) -> None:
+        """Give up motions whose robot is stopped or no longer follows."""
+        monitor = self.stream_monitor
+        if why := monitor.loss_reason(self.node.now()):
+            self._give_up(self._with_platform, why, brake=not monitor.stop_reason)
+        for motion in self._with_arm:
+            self._check_arm(motion)
+
+    def _check_arm(self, motion: "MotionInterface") -> None:
+        """Give a motion up whose previews the arm does not get, or that it does not report on."""
+        silence = self.arm_feed.silence
+        if motion.idle:
+            return
+        if self.stream_monitor.stop_reason:
+            motion.give_up(self.stream_monitor.stop_reason, brake=False)
+        elif not motion.output.is_covered(self.node.now()):
+            motion.give_up("no preview was sent in time", brake=False)
+        elif silence > self.options.joint_trajectory.states_timeout:
+            motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
+
+    def _limit_pace(self, max_pace: float) -> None:
+        """Limit the pace; a motion of platform and arm waits on its path while odom is late."""
+        waits = self._is_platform_silent
+        self.time_base.limit_pace(0.0 if waits else max_pace, at_once=waits)
+
+    @property
+    def _is_platform_silent(self) -> bool:
+        moves_both = any(it.output.has_platform and not it.idle for it in self._with_arm)
+        return moves_both and self.odom.age > self.options.odom_pause
+
+    def _on_pose(self, pose: Array, at: float) -> None:
+        for interface in self.interfaces:
+            interface.update_pose(pose, at)
+
+    def _on_arm_states(self) -> None:
+        """Give up motions whose arm is too far from its reference; halt one without platform."""
+        if all(motion.idle for motion in self._with_arm):
+            return
+        self.arm_feed.measure()
+        max_error = self.options.joint_trajectory.following_error
+        for motion in self._with_arm:
+            error = "" if motion.idle else self.arm_feed.following_error(max_error)
+            if error:
+                motion.give_up(error, brake=True)
+        if self._is_platform_silent and self.time_base.pace.target > 0.0:
+            self._limit_pace(0.0)
+            self.publish_all(self.options.horizon)
+
+    def _check_time(self, since_tick: float) -> None:
+        """Give up motions that a time [s] ends, and let it pass for inputs."""
+        if since_tick < -TIME_JUMP:
+            self._restart()
+        else:
+            self._check_platform(since_tick)
+        # While this node is held up, the other nodes are not silent.
+        elapsed = min(max(since_tick, 0.0), 2.0 * self._period)
+        for feed in (self.odom, self.scaling, self.arm_feed):
+            feed.pass_time(elapsed)
+        if self.scaling.is_silent:
+            why = f"no arm/speed_scaling for {self.scaling.silence:.2f} s"
+            self._give_up(self._with_arm, why, brake=True)
+
+    def _check_platform(self, since_tick: float) -> None:
+        """Give up motions whose previews the platform does not get, or that it is silent about."""
+        if self.node.now() > self.platform_previews.covered_until:
+            why, can_brake = f"no preview for {since_tick:.2f} s", False
+        elif self.odom.silence > self.options.odom_timeout:
+            why, can_brake = f"no odom for {self.odom.silence:.2f} s", True
+        else:
+            return
+        self._give_up(self._with_platform, why, brake=can_brake)
+
+    def _restart(self) -> None:
+        """Forget all that was received, because time went back."""
+        self._give_up([*self._with_platform, *self._with_arm], "time went back", brake=False)
+        self.stream_monitor.restart(self.node.now())
+        self.odom.forget()
+        self.arm_feed.forget()
 
 
-@dataclass(frozen=True)
-class MotionContext(StreamContext[PathInterpolatorParameters]):
-    """Services and state that the interfaces of `path_interpolator` share."""
+class MotionOutput:
+    """Sends a motion to platform, arm or both, and notes where it leads.
 
-    #: Returns the check of motions for collisions of the robot with itself
-    self_collision: Callable[[], SelfCollisionCheck]
+    Args:
+        columns: Axes of the whole body that the motion moves: columns in arrays (k, 9).
+    """
 
-    def start_delay(self, stamp: Time) -> float | None:
-        """Return the time until a stamp [s]; None: now; InputError if it is far from now."""
-        if not is_stamped(stamp):
-            return None
-        delay = self.time_to(stamp)
-        max_delay = self.options.joint_trajectory.max_delay
-        if delay < -MAX_STAMP_AGE:
-            raise InputError(f"the stamp is {-delay:.2f} s old")
-        if delay > max_delay:
-            raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
-        return delay if delay > 0.0 else None
-
-    def time_to(self, stamp: Time) -> float:
-        """Return the time from now to a stamp [s]; 0 for a zero stamp, which means now."""
-        if not is_stamped(stamp):
-            return 0.0
-        now = self.node.get_clock().now().nanoseconds
-        return float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
-
-    def propose_in_time(
-        self,
-        propose: Callable[[float], Proposal],
-        take: Callable[[Proposal, float], bool],
-        planning_time: float,
-    ) -> Proposal:
-        """Plan a motion while the one under way goes on, and start it.
-
-        Before each attempt, previews are published that last longer than the planning.
-
-        Raises:
-            InputError: The motion cannot be driven, or cannot be planned in time.
-        """
-        for _ in range(PLANNING_ATTEMPTS):
-            self.publish_all(2.0 * planning_time + self.options.horizon)
-            proposal = propose(planning_time)
-            if take(proposal, self.time_base.now()):
-                return proposal
-            planning_time *= 2.0
-        raise InputError("the motion could not be planned in time; pause first")
-
-
-class ArmOutput:
-    """Sends motions of the arm, and notes where they lead."""
-
-    def __init__(self, context: BodyContext) -> None:
-        self._context = context
+    def __init__(self, motions: MotionCoordinator[StreamParameters], columns: slice) -> None:
+        self._motions, self.columns = motions, columns
+        self.has_platform, self.has_arm = columns.start is None, columns.stop is None
         self._last_position: Array | None = None
+
+    def meets(self, other: "MotionOutput") -> bool:
+        """Return whether another motion moves the same part of the robot."""
+        same_platform = self.has_platform and other.has_platform
+        return same_platform or (self.has_arm and other.has_arm)
 
     def begin(self, *, from_rest: bool) -> None:
         """Note that a motion begins, from rest or in place of another one."""
-        if from_rest:
-            self._context.arm_feed.start_motion()
-            self._context.arm_previews.covered_until = float("inf")
+        motions = self._motions
+        if self.has_arm and from_rest:
+            motions.arm_feed.start_motion()
+            motions.arm_previews.covered_until = float("inf")
+        if self.has_platform and from_rest:
+            motions.odom.silence = 0.0
+            motions.platform_previews.covered_until = float("inf")
+        if self.has_platform:
+            motions.stream_monitor.begin(motions.node.now())
 
-    def send(self, window: Window) -> None:
-        """Publish a stretch of the motion under way."""
-        self.send_arm(window)
+    def send(self, window: Window, *, platform: bool = True) -> None:
+        """Publish a stretch (k, d) of the motion, of all its parts or of the arm's alone."""
+        motions = self._motions
+        if self.has_platform and platform:
+            motions.platform_previews.send(window.columns(PLATFORM_COLUMNS))
+            motions.stream_monitor.sent(motions.node.now())
+        if self.has_arm:
+            arm = window.columns(JOINT_COLUMNS) if self.has_platform else window
+            self._last_position = arm.positions[-1]
+            motions.arm_feed.record_reference(arm.positions[0])
+            motions.arm_previews.send(arm)
 
-    def send_arm(self, window: Window) -> None:
-        """Publish a stretch (k, 6) of the arm's part of the motion."""
-        self._last_position = window.positions[-1]
-        self._context.arm_feed.record_reference(window.positions[0])
-        self._context.arm_previews.send(window)
-
-    def end(self) -> None:
-        """Note that the motion came to rest where the last stretch ends."""
-        self._context.arm_feed.rest_position = self._last_position
-
-    def give_up(self) -> None:
-        """Note that the motion was given up: it is not known where it comes to rest."""
-        self._context.arm_feed.rest_position = None
+    def end(self, *, lost: bool) -> None:
+        """Note that the motion came to rest where the last stretch ends, or that it was lost."""
+        if self.has_arm:
+            self._motions.arm_feed.rest_position = None if lost else self._last_position
+        if self.has_platform:
+            self._motions.stream_monitor.end(lost=lost)
 
     def is_covered(self, now: float) -> bool:
         """Return whether the receivers still have a reference."""
-        return now <= self._context.arm_previews.covered_until
-
-
-class WholeBodyOutput(ArmOutput):
-    """Sends motions of all nine axes, each part to its receiver."""
-
-    def begin(self, *, from_rest: bool) -> None:
-        """Note that a motion begins; see the base class."""
-        super().begin(from_rest=from_rest)
-        if from_rest:
-            self._context.odom.silence = 0.0
-            self._context.platform_previews.covered_until = float("inf")
-        self._context.stream_monitor.begin(self._context.node.now())
-
-    def send(self, window: Window) -> None:
-        """Publish a stretch (k, 9) of both parts."""
-        self._context.platform_previews.send(window.columns(PLATFORM_COLUMNS))
-        self._context.stream_monitor.sent(self._context.node.now())
-        self.send_arm(window.columns(JOINT_COLUMNS))
-
-    def end(self) -> None:
-        """Note that the motion came to rest; see the base class."""
-        super().end()
-        self._context.stream_monitor.end(lost=False)
-
-    def give_up(self) -> None:
-        """Note that the motion was given up; see the base class."""
-        super().give_up()
-        self._context.stream_monitor.end(lost=True)
-
-    def is_covered(self, now: float) -> bool:
-        """Return whether the receivers of both parts still have a reference."""
-        return super().is_covered(now) and now <= self._context.platform_previews.covered_until
-
-
-class DrivenMotion(Interpolator, Protocol):
-    """A motion of d axes in motion time, which an interface drives."""
-
-    def sample(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return x, x', x'' (k, d) of the motion under way at increasing times (k,) [s]."""
-
-    def plan_times(self, times: Array) -> Array:
-        """Return the times (k,) of the planned motion at increasing times (k,) [s]."""
-
-    def update(self, now: float) -> None:
-        """Update the state when the motion has come to rest."""
-
-    def abort(self) -> None:
-        """Discard the motion at once: it is at rest, or the receiver stops it."""
-
-    def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
-        """Return the final window of a stream at a pace, which ends at rest on the path."""
-
-
-def note_pause(log: MotionLog, state: PathState, reason: str = "") -> None:
-    """Record whether the motion under way is paused; a reason says why the node has done it."""
-    if state is PathState.FOLLOWING:
-        log.note(MotionEvent.RESUMED)
-    elif state in (PathState.PAUSING, PathState.PAUSED) and not log.is_paused:
-        log.note(MotionEvent.PAUSED, reason)
+        is_platform = not self.has_platform or now <= self._motions.platform_previews.covered_until
+        return is_platform and (
+            not self.has_arm or now <= self._motions.arm_previews.covered_until
+        )
 
 
 class MotionInterface:
     """Drives a motion: sends its previews, and reports its end."""
 
-    core: DrivenMotion  #: Motion that is driven
+    core: Interpolator  #: What generates the motion
+    pending: PendingMotion | None = None  #: Motion that waits, where one can
+    under_way = ""  #: Says that a motion is under way, and what ends it
 
     def __init__(
-        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: MotionInput
+        self,
+        motions: MotionCoordinator[StreamParameters],
+        core: Interpolator,
+        columns: slice,
+        kind: MotionInput,
     ) -> None:
-        self._context, self._node = context, context.node
-        self.core, self.output = core, output
-        self.log = context.events.log(kind)
+        self._motions, self._node = motions, motions.node
+        self.core, self.output = core, MotionOutput(motions, columns)
+        self.log = motions.events.log(kind)
 
     @property
     def idle(self) -> bool:
         """Whether no motion is under way."""
         return self.core.state is PathState.IDLE
 
+    @property
+    def max_pace(self) -> float:
+        """Highest pace at which the motion may be driven, 0 to 1."""
+        return 1.0
+
+    def update_pose(self, pose: Array, at: float) -> None:
+        """Take the platform's pose (3,) in odom [m, m, rad] at a time [s]."""
+
+    def _pending_motion(self, blocking_reason: Callable[[], str]) -> PendingMotion:
+        """Return a place for a motion that waits as long as there is a reason."""
+        monitor = self._motions.stream_monitor
+        return PendingMotion(self._node, monitor, self.log, blocking_reason, self._conflict)
+
+    def _conflict(self) -> str:
+        return self._motions.conflict(self)
+
     def _desired_at(self, time: float) -> tuple[Array, Array, Array]:
-        pace = self._context.time_base.pace
+        pace = self._motions.time_base.pace
         window = paced_window(pace, self.core.sample, np.array([time]))
         return window.positions[0], window.velocities[0], window.accelerations[0]
 
     def _announce(self, motion: LoggedMotion, text: str) -> None:
         self.log.start(motion, text)
-        self._context.on_started()
+        self._motions.release()
+
+    def stop(self) -> None:
+        """Bring the motion to rest on its path."""
+        if not self.idle:
+            self.core.cancel(self._motions.time_base.now())
+
+    def cancel(self, motion: LoggedMotion) -> None:
+        """Discard a motion that waits, or bring the one under way to rest on its path."""
+        if self.pending is not None and motion is self.pending.motion:
+            self.pending.discard()
+        elif motion is self.log.driven:
+            self.stop()
+            self._motions.release()
 
     def give_up(self, why: str, *, brake: bool) -> None:
         """End the motion under way; the axes come to rest.
@@ -276,146 +484,45 @@ class MotionInterface:
         self.log.note(MotionEvent.GIVEN_UP, why)
         if window is not None:
             self.output.send(window)
-        self.output.give_up()
+        self.output.end(lost=True)
 
     def _stop_window(self, now: float) -> Window | None:
-        return self.core.paced_stop_window(now, self._context.time_base.pace)
+        """Return the last preview of a motion that is given up, if it has one."""
+        return None
 
     def tick(self) -> None:
         """Publish the next preview, and report the end of the motion."""
-        before, time_base = self.core.state, self._context.time_base
+        before, time_base = self.core.state, self._motions.time_base
         if before is PathState.IDLE:
             return
-        self.publish(self._context.options.horizon)
+        self.publish(self._motions.options.horizon)
         if self.idle:
             return  # given up, which has been reported
-        motion_time = time_base.now()
-        self.core.update(motion_time)
+        why = self._update(time_base.now())
         if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
             self.core.abort()
-        note_pause(self.log, self.core.state)
+        self._note_pause(why)
         if self.idle:
             is_cancelled = before is PathState.CANCELLING
             self.log.note(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
-            self.output.end()
+            self.output.end(lost=False)
+
+    def _update(self, motion_time: float) -> str:
+        """Update the state of the motion; return why that pauses it, or an empty string."""
+        self.core.update(motion_time)
+        return ""
+
+    def _note_pause(self, reason: str) -> None:
+        """Record whether the motion is paused; a reason says why the node has done it."""
+        state = self.core.state
+        if state is PathState.FOLLOWING:
+            self.log.note(MotionEvent.RESUMED)
+        elif state in (PathState.PAUSING, PathState.PAUSED) and not self.log.is_paused:
+            self.log.note(MotionEvent.PAUSED, reason)
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the motion under way that is `horizon` long [s]."""
         if not self.idle:
-            time_base = self._context.time_base
+            time_base = self._motions.time_base
             times = time_base.sample_times(horizon)
             self.output.send(paced_window(time_base.pace, self.core.sample, times))
-
-
-#: Times from now at which the speed of a motion is compared with the limit [s]
-LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
-#: Smallest change of a fraction that is acted upon at once; others wait for the next tick
-CHANGE = 0.01
-REST = 1e-6  #: Speed up to which a motion rests [m/s, rad/s]
-
-
-class HealthInput:
-    """Scales the limits of the motions that move the platform."""
-
-    def __init__(self, context: BodyContext, use: Callable[[float], None]) -> None:
-        self._context, self._use = context, use
-        self._scales = LimitScales()
-        on_health = context.node.guarded("wheel_health", self._on_health)
-        context.node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
-
-    def _on_health(self, message: DiagnosticStatus) -> None:
-        before, self._scales = self._scales, reported_limit_scales(message)
-        if self._scales.wheels > before.wheels:  # the controller was reset, and expects a silence
-            self._context.stream_monitor.restart(self._context.node.now())
-        if self._scales.total != before.total:
-            self._use(self._scales.total)
-
-
-class SampledMotion(Protocol):
-    """Motion of the platform, the arm or both."""
-
-    state: PathState
-
-    def sample(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return x, x', x'' (k, d) at motion times (k,) [s]."""
-
-
-class LimitInterface:
-    """Subscribes to `motion_limit`, and publishes the demand of motions on `motion_demand`.
-
-    A motion that stands because of the limit still asks for its direction: the limit depends on
-    it.
-
-    Args:
-        motions: Motions, each with the axes of the whole body that it moves.
-    """
-
-    def __init__(
-        self,
-        node: OmnimanNode,
-        read_options: Callable[[], StreamParameters],
-        motions: Sequence[tuple[SampledMotion, slice]],
-        on_change: Callable[[], None],
-    ) -> None:
-        self._node, self._read_options = node, read_options
-        self._motions, self._on_change = tuple(motions), on_change
-        options = read_options().collision_monitor
-        self._platform, self._arm = MotionLimit(options), MotionLimit(options)
-        self._acted_on = (1.0, 1.0)
-        subscribe_to_motion_limit(
-            node, platform=self._platform, arm=self._arm, on_update=self._act
-        )
-        self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
-
-    def configure(self, new: StreamParameters) -> None:
-        """Use other parameters."""
-        self._platform.parameters = self._arm.parameters = new.collision_monitor
-
-    def _act(self) -> None:
-        """Report a change of a fraction that is large enough."""
-        change = np.abs(np.array(self.fractions) - self._acted_on).max()
-        if change > CHANGE:
-            self._acted_on = self.fractions
-            self._on_change()
-
-    @property
-    def fractions(self) -> tuple[float, float]:
-        """Fractions of the speed limits that platform and arm may use now, 0 to 1."""
-        now = self._node.now()
-        return self._platform.fraction(now), self._arm.fraction(now)
-
-    def max_pace(self, motion_time: float) -> float:
-        """Return the highest pace, 0 to 1, within the limit from a motion time [s]."""
-        fractions = self.fractions
-        if min(fractions) >= 1.0:
-            return 1.0
-        p = self._read_options()
-        bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
-        return bound.pace(self._velocities(motion_time)[1], *fractions)
-
-    def publish_demand(self, motion_time: float) -> None:
-        """Publish what the motions ask for at full pace, where a limit is used."""
-        p = self._read_options()
-        if not p.collision_monitor.use:
-            return
-        heading, velocities = self._velocities(motion_time)
-        # At its begin a motion rests: it asks for what comes next.
-        moving = np.flatnonzero(np.abs(velocities).max(axis=1) > REST)
-        k = int(moving[0]) if len(moving) else 0
-        twist = se2.to_robot(float(heading[k]), velocities[k, PLATFORM_COLUMNS])
-        motion = [*twist.tolist(), *velocities[k, JOINT_COLUMNS].tolist()]
-        message = motion_demand_message(p.arm.joints, motion, self._node.stamp(), "base_link")
-        self._demands.publish(message)
-
-    def _velocities(self, motion_time: float) -> tuple[Array, Array]:
-        """Return headings (k,) [rad] and velocities (k, 9) in odom over the next times."""
-        times = motion_time + LOOK_AHEAD
-        heading = np.zeros(len(times))
-        velocities = np.zeros((len(times), PLATFORM_COLUMNS.stop + JOINTS))
-        for motion, columns in self._motions:
-            if motion.state is not PathState.IDLE:
-                position, velocity, _ = motion.sample(times)
-                velocities[:, columns] = velocity
-                if columns.start is None:
-                    heading = position[:, HEADING_COLUMN]
-        return heading, velocities

@@ -1,6 +1,9 @@
-"""Node `path_interpolator`: paths and trajectories in, streams for platform and arm out."""
+"""Node `path_interpolator`: paths and trajectories in, streams for platform and arm out.
 
-import math
+control_msgs is imported here only, and only when an action is to be served, so that the package
+works without it.
+"""
+
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +14,6 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.headers import time_seconds
@@ -19,13 +21,10 @@ from omniman_ros.conversions.joints import abbreviate_names, axis_names
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.stamps import TIME_JUMP
-from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.motion.axes import AXES, JOINT_COLUMNS, PLATFORM_AXES, PLATFORM_COLUMNS
+from omniman_ros.motion.axes import AXES, PLATFORM_AXES
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator
-from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.trajectory_goal import (
     Ending,
     ErrorCode,
@@ -35,35 +34,28 @@ from omniman_ros.motion.path.trajectory_goal import (
     TrajectoryActionOptions,
 )
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.deferred_action import DeferredActionServer
-from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvents, MotionInput, PendingMotion
-from omniman_ros.nodes.motion_time_base import MotionServices, MotionTimeBase, ScalingInterface
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.navigation_action import NavigationAction, NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.path_interpolator.motions import (
-    MAX_STAMP_AGE,
-    HealthInput,
-    LimitInterface,
-    MotionContext,
-)
+from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
 from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.path_interpolator.tool import ToolInterface
 from omniman_ros.nodes.path_interpolator.trajectories import (
+    MAX_STAMP_AGE,
     ArmInterface,
     JointInterface,
-    MotionSupervisor,
+    Motions,
     PathInterface,
     WholeBodyInterface,
-    planned_tool_paths,
 )
-from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed, arm_previews, platform_previews
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.serialized import deserialized, serialized_stamp
-from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 
+POINT_BYTES = 64  #: Upper bound of the size of a serialized point without its numbers [bytes]
+#: What is said of single points with the platform that no trajectory can keep
+NO_STREAM = "; streams of points move the arm alone, the platform takes cmd_vel"
 #: Fields of a point of a trajectory, in the order of their derivatives
 PARTS = ("positions", "velocities", "accelerations")
 
@@ -291,28 +283,22 @@ class TrajectoryAction:
         self._server.finish(handle, result)
 
 
-POINT_BYTES = 64  #: Upper bound of the size of a serialized point without its numbers [bytes]
-
-#: What is said of single points with the platform that no trajectory can keep
-NO_STREAM = "; streams of points move the arm alone, the platform takes cmd_vel"
-
-
 class TrajectoryInput:
     """Passes each received trajectory to the interface that it concerns."""
 
     def __init__(
-        self, context: MotionContext, arm: ArmInterface, whole_body: WholeBodyInterface
+        self, motions: Motions, arm: ArmInterface, whole_body: WholeBodyInterface
     ) -> None:
-        self._context, self._arm, self._whole_body = context, arm, whole_body
-        self._refused_at = -math.inf  # time of the last refused point of a stream [s]
+        self._motions, self._arm, self._whole_body = motions, arm, whole_body
+        self._refused_at = -float("inf")  # time of the last refused point of a stream [s]
         # The message stays serialized, so that a huge trajectory is refused unread.
-        on_trajectory = context.node.guarded("joint_trajectory", self._on_data)
-        context.node.create_subscription(
+        on_trajectory = motions.node.guarded("joint_trajectory", self._on_data)
+        motions.node.create_subscription(
             JointTrajectory, "joint_trajectory", on_trajectory, 10, raw=True
         )
 
     def _on_data(self, data: bytes) -> str:
-        max_points, log = self._context.options.joint_trajectory.max_points, self._arm.log
+        max_points, log = self._motions.options.joint_trajectory.max_points, self._arm.log
         try:
             if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
                 megabytes = f"{len(data) / 1e6:.0f} MB"
@@ -331,12 +317,12 @@ class TrajectoryInput:
 
     def _start(self, message: JointTrajectory) -> str:
         """Start a trajectory; of a stream, its begin and its first refused point are told."""
-        is_stream, now = self._arm.is_stream(message), self._context.node.now()
+        is_stream, now = self._arm.is_stream(message), self._motions.node.now()
         has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
         follows = is_stream and not has_platform
         is_for_arm = follows or (self._whole_body.idle and not has_platform)
         interface = self._arm if is_for_arm else self._whole_body
-        was_refused = now - self._refused_at <= self._context.options.restart
+        was_refused = now - self._refused_at <= self._motions.options.restart
         motion = interface.log.receive(
             message.header.stamp,
             MotionInput.BODY if has_platform else MotionInput.ARM,
@@ -352,140 +338,49 @@ class TrajectoryInput:
         return why
 
 
-class MotionCoordinator:
+class PathCoordinator(MotionCoordinator[PathInterpolatorParameters]):
     """Runs the motions of platform, arm and whole body side by side."""
 
     def __init__(
         self, node: OmnimanNode, settings: ParameterSet[PathInterpolatorParameters]
     ) -> None:
-        p, odom_frame = settings.value, settings.value.frames.odom.odom_frame
-        self._node, self.is_ending = node, False
-        self._progress = node.create_publisher(Float64, "path_progress", 10)
-        self.scaling = ScalingInterface(node, self._on_slowed)
+        p, check = settings.value, settings.value.self_collision_check()
         path, options = PathInterpolator(p.core), p.joint_trajectory
-        self._self_collision = p.self_collision_check()
         arm = JointInterpolator(AxisLimits.of_arm(p.arm), options)
-        whole_body = JointInterpolator(WholeBodyLimits.of_whole_body(p.core, p.arm), options)
-        self.context = MotionContext(
-            node=node,
-            events=MotionEvents(node),
-            read_options=lambda: settings.value,
-            frames=FrameTransforms(node, lambda: settings.value.frames),
-            stream_monitor=StreamMonitor(p.restart),
-            odom=OdomFeed(node, "odom", odom_frame, lambda *it: self.whole_body.update_pose(*it)),
-            arm_feed=ArmFeed(
-                node,
-                p.arm.joints,
-                lambda: not (self.arm.idle and self.whole_body.idle),
-                lambda: self._supervisor.check_arm(),
-            ),
-            time_base=MotionTimeBase(
-                (path, arm, whole_body),
-                node.now,
-                self.scaling,
-                lambda: settings.value.scaling_timeout,
-            ),
-            self_collision=lambda: self._self_collision,
-            platform_previews=platform_previews(node, "path/reference", odom_frame, p.horizon),
-            arm_previews=arm_previews(node, p.arm.joints, p.horizon),
-            publish_all=self._publish_all,
-            on_started=self._on_started,
-            conflict=self._conflict,
-            is_ending=lambda: self.is_ending,
-        )
-        motions = ((path, PLATFORM_COLUMNS), (arm, JOINT_COLUMNS), (whole_body, slice(None)))
-        self.limits = LimitInterface(node, lambda: settings.value, motions, self._on_slowed)
-        self.path = PathInterface(self.context, path)
-        self.arm = ArmInterface(self.context, arm)
-        self.whole_body = WholeBodyInterface(self.context, whole_body)
-        TrajectoryInput(self.context, self.arm, self.whole_body)
-        self._startable: dict[str, PendingMotion | ToolInterface[ToolPlan]]
-        self._startable = {"path": self.path.pending, "trajectory": self.whole_body.pending}
-        self.tool = planned_tool_paths(self.context, self.whole_body)
-        self._startable |= {} if self.tool is None else {"tool path": self.tool}
-        HealthInput(self.context, self._scale_limits)
-        self._supervisor = MotionSupervisor(
-            self.context, self.scaling, p.period, self.whole_body, self.path, self.arm
-        )
-        StreamMonitorInterface(node, self.context.stream_monitor, self._supervisor.check_control)
-        self._scaled_at, self._ticked_at = float("-inf"), node.now()
+        both = JointInterpolator(WholeBodyLimits.of_whole_body(p.core, p.arm), options)
+        super().__init__(node, settings, (path, arm, both), "path", p.period)
+        self.path, self.arm = PathInterface(self, path), ArmInterface(self, arm, check)
+        self.whole_body = WholeBodyInterface(self, both, check)
+        self.interfaces = self.path, self.arm, self.whole_body
+        TrajectoryInput(self, self.arm, self.whole_body)
+        self.waiting |= {"path": self.path.pending, "trajectory": self.whole_body.pending}
+        self.tool = ToolInterface(self, self.whole_body) if p.takes_tool_paths else None
+        if self.tool is not None:
+            self.waiting["tool path"] = self.tool
 
     def configure(self, new: PathInterpolatorParameters) -> None:
         """Set parameters for the next motions; raise ParameterError if none fits them."""
         new.core.planner()  # raises
-        self._self_collision = new.self_collision_check()
-        self.arm.configure(new.arm, new.joint_trajectory)
+        self.arm.self_collision = self.whole_body.self_collision = new.self_collision_check()
+        self.arm.configure(new)
         self.whole_body.configure(new)
         self.path.core.parameters = new.core
-        self.limits.configure(new)
-        self.context.stream_monitor.silence = new.restart
+        self.configure_streams(new)
 
-    def _on_slowed(self) -> None:
-        """Slow down at once; further changes within a tick wait for the next one."""
-        if not self.context.time_base.idle and self._node.now() - self._scaled_at >= TICK:
-            self._scaled_at = self._node.now()
-            self.tick()
-
-    def _scale_limits(self, scale: float) -> None:
+    def scale_limits(self, scale: float) -> None:
+        """Scale the limits of the platform, 0 to 1; see the base class."""
         self.whole_body.limit_scale = scale
-        self.path.core.scale_limits(scale, self.context.time_base.now())
+        self.path.core.scale_limits(scale, self.time_base.now())
         self.tick()
 
-    def _conflict(self, interface: object) -> str:
-        if interface is not self.whole_body:
-            rival = "" if self.whole_body.idle else "a motion of the whole body"
-        elif not self.path.idle:
-            rival = "a path"
-        else:
-            rival = "" if self.arm.idle else "a trajectory of the arm"
-        return rival and f"{rival} is under way; ~/cancel ends it"
-
-    def _publish_all(self, horizon: float) -> None:
-        for interface in (self.path, self.arm, self.whole_body):
-            if not interface.idle:
-                interface.publish(horizon)
-
-    def _on_started(self) -> None:
-        self.context.time_base.release()
+    def refresh(self) -> None:
+        """Publish previews at once; see the base class."""
         self.tick()
-
-    def cancel(self) -> None:
-        """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
-        discarded = [motion for motion in self._startable.values() if motion.discard()]
-        if not self.context.time_base.idle or not discarded:
-            self.context.time_base.cancel()
-
-    def begin_shutdown(self) -> None:
-        """Bring all motions to rest on their paths, and accept nothing new."""
-        self.is_ending = True
-        self.context.frames.end_waiting()
-        for motion in self._startable.values():
-            motion.discard()
-        if not self.context.time_base.idle:
-            self.context.time_base.cancel()
-            self.tick()
 
     def tick(self) -> None:
-        """Supervise all motions, start pending ones, and publish previews and progress."""
-        since_tick, self._ticked_at = self._node.now() - self._ticked_at, self._node.now()
-        self._supervisor.check_time(since_tick)
-        if since_tick < -TIME_JUMP:
-            for motion in self._startable.values():
-                motion.restart_timeout()
-        self._supervisor.check_control()
-        for kind, motion in self._startable.items():
-            if refusal := motion.start():
-                self._node.warn(f"{kind} refused", f"{kind} not used: {refusal}")
-        time_base = self.context.time_base
-        if time_base.idle:
-            return
-        self._progress.publish(Float64(data=time_base.progress()))
-        motion_time = time_base.now()
-        self.limits.publish_demand(motion_time)
-        pace = min(self.whole_body.max_pace, self.limits.max_pace(motion_time))
-        self._supervisor.limit_pace(pace)
-        for interface in (self.path, self.arm, self.whole_body):
-            interface.tick()
+        """Supervise all motions, start those that wait, and publish previews and progress."""
+        self.supervise()
+        self.stream()
 
 
 class PathInterpolatorNode(OmnimanNode):
@@ -495,7 +390,7 @@ class PathInterpolatorNode(OmnimanNode):
         super().__init__("path_interpolator", **options)
         self.settings = ParameterSet(self, PathInterpolatorParameters)
         p = self.settings.value
-        self.motions = MotionCoordinator(self, self.settings)
+        self.motions = PathCoordinator(self, self.settings)
         served = {p.arm_action: self.motions.arm, p.body_action: self.motions.whole_body}
         self._trajectory_actions = serve_actions(self, served, p.trajectory_action)
         self.actions: tuple[TrajectoryAction | NavigationAction, ...] = (
@@ -503,8 +398,6 @@ class PathInterpolatorNode(OmnimanNode):
             *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, self.motions.path),
         )
         self.settings.on_change(self._configure)
-        time_base = self.motions.context.time_base
-        MotionServices(self, time_base, self.motions.cancel, self.motions.tick)
         self.every(p.period, self.motions.tick)
 
     def _configure(self, new: PathInterpolatorParameters) -> None:
@@ -519,17 +412,17 @@ class PathInterpolatorNode(OmnimanNode):
     @property
     def finished(self) -> bool:
         """Whether no motion is under way, and all action clients have their results."""
-        return self.motions.context.time_base.idle and all(action.idle for action in self.actions)
+        return self.motions.time_base.idle and all(action.idle for action in self.actions)
 
     @property
     def stop_timeout(self) -> float:
         """How long the motions may take to come to rest from now on [s], with a margin of 1 s."""
-        remaining = self.motions.context.time_base.remaining()
+        remaining = self.motions.time_base.remaining()
         return 1.0 + remaining + self.settings.value.core.path.settle
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values of the diagnostics."""
-        motions, time_base = self.motions, self.motions.context.time_base
+        motions, time_base = self.motions, self.motions.time_base
         now, path = time_base.now(), motions.path
         values: list[tuple[str, object]] = [
             ("state", path.core.state.value),

@@ -2,92 +2,100 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory
 
+from omniman_ros.collision.self_collision import SelfCollisionCheck
 from omniman_ros.conversions import arm as arm_conversions
-from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.conversions.headers import is_stamped, time_seconds
 from omniman_ros.conversions.poses import path_poses
 from omniman_ros.core import round_off, se2
 from omniman_ros.core.arbiter import Source
-from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.motion.axes import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathProposal, PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
-from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
 from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget
 from omniman_ros.motion.path.point_stream import PointStream
-from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput, PendingMotion
-from omniman_ros.nodes.motion_time_base import ScalingInterface
-from omniman_ros.nodes.path_interpolator.motions import (
-    MIN_PLANNING_TIME,
-    ArmOutput,
-    BodyContext,
-    MotionContext,
-    MotionInterface,
-    note_pause,
-)
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput, PendingMotion
+from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator, MotionInterface
 from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
-from omniman_ros.nodes.path_interpolator.tool import (
-    BodyInterface,
-    PathInput,
-    ToolInterface,
-    ToolStream,
-)
+from omniman_ros.nodes.path_interpolator.tool import BodyInterface, PathInput
 
-SAMPLES = 100  #: Number of poses by which the length of the rest of a path is measured
+#: Number of attempts to plan from a motion under way, each with twice the time of the last
+PLANNING_ATTEMPTS = 3
+MIN_PLANNING_TIME = 0.03  #: Shortest planning time that is expected of a motion [s]
 PLANNING_TIME_PER_POSE = 1e-4  #: Planning time that is expected for each pose of a path [s]
+#: Planning time that is expected for each point of a trajectory [s]
+PLANNING_TIME_PER_POINT = 1e-3
+#: Planning time that is expected of the motion to a point of a stream [s]
+STREAM_PLANNING_TIME = 0.01
+SAMPLES = 100  #: Number of poses by which the length of the rest of a path is measured
+MAX_STAMP_AGE = 0.5  #: Age of a stamp up to which a trajectory is accepted, and starts at once [s]
+
+Proposal = TypeVar("Proposal")
+#: The motions of `path_interpolator`
+Motions = MotionCoordinator[PathInterpolatorParameters]
 
 
-class PathInterface:
-    """Connects a `PathInterpolator` to the messages of the node."""
+def propose_in_time(
+    motions: Motions,
+    propose: Callable[[float], Proposal],
+    take: Callable[[Proposal, float], bool],
+    planning_time: float,
+) -> Proposal:
+    """Plan a motion while the one under way goes on, and start it.
 
-    def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
-        self._context, self._node = context, context.node
-        self.core = core
-        self.log = context.events.log(MotionInput.PATH)
-        self.pending = PendingMotion(
-            self._node,
-            context.stream_monitor,
-            self.log,
-            self._blocking_reason,
-            conflict=lambda: context.conflict(self),
-        )
-        PathInput(
-            context,
-            "path",
-            self.log,
-            max_poses=lambda: context.options.core.path.max_poses,
-            refusal=lambda: "",
-            accept=self._accept,
-        )
+    Before each attempt, previews are published that last longer than the planning.
+
+    Raises:
+        InputError: The motion cannot be driven, or cannot be planned in time.
+    """
+    for _ in range(PLANNING_ATTEMPTS):
+        motions.publish_all(2.0 * planning_time + motions.options.horizon)
+        proposal = propose(planning_time)
+        if take(proposal, motions.time_base.now()):
+            return proposal
+        planning_time *= 2.0
+    raise InputError("the motion could not be planned in time; pause first")
+
+
+class PathInterface(MotionInterface, PathInput):
+    """Paths of the platform: `path` in, `path/reference` out."""
+
+    _motions: Motions
+    core: PathInterpolator
+    pending: PendingMotion
+    under_way = "a path is under way; ~/cancel ends it"
+
+    def __init__(self, motions: Motions, core: PathInterpolator) -> None:
+        super().__init__(motions, core, PLATFORM_COLUMNS, MotionInput.PATH)
+        self.pending = self._pending_motion(self._blocking_reason)
+        self._subscribe(motions, "path")
 
     @property
-    def idle(self) -> bool:
-        """Whether no path is under way."""
-        return self.core.state is PathState.IDLE
+    def _max_poses(self) -> int:
+        return self._motions.options.core.path.max_poses
 
     def _accept(self, motion: LoggedMotion, message: Path) -> str:
         """Start a path, placed in odom now, or let it wait; return or raise why it is refused."""
-        p, frames = self._context.options, self._context.frames
+        p, frames = self._motions.options, self._motions.frames
         try:
             place = frames.into_odom(message.header).planar()
             names = p.frames.odom.beside(message.header.frame_id)
             poses = path_poses(message, names, p.core.path.heading == "poses")
             poses = se2.displaced(poses, place)
-            if self._context.is_ending():
+            if self._motions.is_ending:
                 raise InputError("the node is shutting down")
         except InputError as error:
             raise self.log.refuse(motion, str(error)) from error
@@ -96,75 +104,45 @@ class PathInterface:
     def _blocking_reason(self) -> str:
         if not self.idle:
             return ""
-        why = self._context.odom.blocking_reason(self._context.options.odom_timeout)
-        return why or self._context.control_wait_reason()
+        why = self._motions.odom.blocking_reason(self._motions.options.odom_timeout)
+        return why or self._motions.control_wait_reason()
 
     def _start(self, motion: LoggedMotion, poses: Array) -> None:
-        context = self._context
-        pose = context.odom.pose
+        motions = self._motions
+        pose = motions.odom.pose
         assert pose is not None
 
         def propose(lead: float) -> PathProposal:
-            return self.core.propose(poses, pose, context.time_base.now(), lead)
+            return self.core.propose(poses, pose, motions.time_base.now(), lead)
 
         planning_time = MIN_PLANNING_TIME + PLANNING_TIME_PER_POSE * len(poses)
-        proposal = context.propose_in_time(propose, self.core.take, planning_time)
+        proposal = propose_in_time(motions, propose, self.core.take, planning_time)
         plan = proposal.plan
-        if proposal.since is None:
-            context.odom.silence = 0.0
-            context.platform_previews.covered_until = float("inf")
-        context.stream_monitor.begin(self._node.now())
+        self.output.begin(from_rest=proposal.since is None)
         text = (
             f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} times "
             "the shortest duration without jerk limits"
         )
-        self.log.start(motion, text)
-        context.on_started()
+        self._announce(motion, text)
 
-    def give_up(self, why: str) -> None:
-        """Discard the path, because the platform no longer follows it."""
-        if not self.idle:
-            self.log.note(MotionEvent.GIVEN_UP, why)
-            self.core.abort()
-            self._context.stream_monitor.end(lost=True)
-
-    def tick(self) -> None:
-        """Publish the next preview, and report the end of the path."""
-        time_base, before = self._context.time_base, self.core.state
-        motion_time, why = time_base.now(), ""
-        if before is PathState.IDLE:
-            return
-        horizon = self._context.options.horizon
-        self.publish(horizon)
+    def _update(self, motion_time: float) -> str:
+        """Update the state of the motion; see the base class."""
+        before = self.core.state
         try:
             self.core.update(motion_time)
         except InputError as error:
-            why = str(error)
-            self._node.warn("path paused", f"a path was paused: {why}")
-        note_pause(self.log, self.core.state, why)
+            self._node.warn("path paused", f"a path was paused: {error}")
+            return str(error)
         if before is PathState.SLOWING and self.core.state is PathState.FOLLOWING:
-            self.publish(horizon)  # the path continues before the next tick
-        if before is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
-            self.core.abort()
-        if self.idle:
-            self._context.stream_monitor.end(lost=False)
-            is_cancelled = before is PathState.CANCELLING
-            self.log.note(MotionEvent.CANCELLED if is_cancelled else MotionEvent.ARRIVED)
+            self.publish(self._motions.options.horizon)  # it continues before the next tick
+        return ""
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the path under way that is `horizon` long [s]."""
-        window = self._window(horizon)
-        if window is not None:
-            self._context.platform_previews.send(window)
-            self._context.stream_monitor.sent(self._node.now())
-
-    def _window(self, horizon: float) -> Window | None:
-        """Return the stream from now on; None while the platform rests."""
-        time_base = self._context.time_base
-        if time_base.pace.plain or self.idle:
-            return self.core.window(self._node.now(), horizon)
-        times = time_base.sample_times(horizon)
-        return paced_window(time_base.pace, self.core.sample, times)
+        if not self._motions.time_base.pace.plain:
+            super().publish(horizon)
+        elif window := self.core.window(self._node.now(), horizon):
+            self.output.send(window)
 
     def send(self, request: Any) -> LoggedMotion:
         """Follow the path of a goal of the action `follow_path`.
@@ -173,147 +151,32 @@ class PathInterface:
         nothing here.
         """
         motion = self.log.receive(request.path.header.stamp)
-        refusal = self._accept(motion, request.path)
-        if refusal:
+        if refusal := self._accept(motion, request.path):
             raise InputError(refusal)
         return motion
 
-    def cancel(self, motion: LoggedMotion) -> None:
-        """Discard the path if it waits, or bring the platform to rest on it."""
-        if motion is self.pending.motion:
-            self.pending.discard()
-        elif motion is self.log.driven:
-            self.core.cancel(self._context.time_base.now())
-            self._context.on_started()
-
     def fill_feedback(self, feedback: Any) -> bool:
         """Write the length of the rest of the path, and the speed, into the feedback."""
-        now = self._context.time_base.now()
+        now = self._motions.time_base.now()
         if self.idle:
             return False
         ahead = self.core.sample(np.linspace(now, now + self.core.remaining(now), SAMPLES))[0]
         steps = np.diff(ahead[:, :2], axis=0)
         feedback.distance_to_goal = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        feedback.speed = float(np.hypot(*self._context.odom.velocity[:2]))
+        feedback.speed = float(np.hypot(*self._motions.odom.velocity[:2]))
         return True
 
 
-class MotionSupervisor:
-    """Gives motions up whose robot is stopped, silent, overruled or too far from its reference.
+class JointInterface(MotionInterface, ABC):
+    """Connects a `JointInterpolator` to the messages of the node.
 
-    A motion brakes on its path where its receivers still listen. Receivers that are stopped, or
-    have been without a preview, come to rest by themselves.
+    Attributes:
+        self_collision: Check of motions for collisions of the robot with itself.
     """
 
-    def __init__(
-        self,
-        context: BodyContext,
-        scaling: ScalingInterface,
-        period: float,
-        whole_body: BodyInterface,
-        path: PathInterface | None = None,
-        arm: MotionInterface | None = None,
-    ) -> None:
-        self._context, self._node, self._scaling = context, context.node, scaling
-        self._period, self._path, self._whole_body = period, path, whole_body
-        self._with_arm = (whole_body,) if arm is None else (arm, whole_body)
-
-    def check_control(self) -> None:
-        """Give up motions whose robot is stopped or no longer follows."""
-        monitor = self._context.stream_monitor
-        why = monitor.loss_reason(self._node.now())
-        if why:
-            self._give_up_platform(why, brake=not monitor.stop_reason)
-        for motion in self._with_arm:
-            self._check_arm(motion)
-
-    def _give_up_platform(self, why: str, *, brake: bool) -> None:
-        """Give up the motions that move the platform; see `MotionInterface.give_up`."""
-        if self._path is not None:
-            self._path.give_up(why)
-        self._whole_body.give_up(why, brake=brake)
-
-    def _check_arm(self, motion: MotionInterface) -> None:
-        """Give a motion up whose previews the arm does not get, or that it does not report on."""
-        context, silence = self._context, self._context.arm_feed.silence
-        if motion.idle:
-            return
-        if context.stream_monitor.stop_reason:
-            motion.give_up(context.stream_monitor.stop_reason, brake=False)
-        elif not motion.output.is_covered(self._node.now()):
-            motion.give_up("no preview was sent in time", brake=False)
-        elif silence > context.options.joint_trajectory.states_timeout:
-            motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
-
-    def limit_pace(self, max_pace: float) -> None:
-        """Limit the pace; a motion of platform and arm waits on its path while odom is late."""
-        waits = self._is_platform_silent
-        self._context.time_base.limit_pace(0.0 if waits else max_pace, at_once=waits)
-
-    @property
-    def _is_platform_silent(self) -> bool:
-        context = self._context
-        return not self._whole_body.idle and context.odom.age > context.options.odom_pause
-
-    def check_arm(self) -> None:
-        """Give up motions whose arm is too far from its reference; halt one without platform."""
-        max_error = self._context.options.joint_trajectory.following_error
-        for motion in self._with_arm:
-            error = "" if motion.idle else self._context.arm_feed.following_error(max_error)
-            if error:
-                motion.give_up(error, brake=True)
-        if self._is_platform_silent and self._context.time_base.pace.target > 0.0:
-            self.limit_pace(0.0)
-            self._context.publish_all(self._context.options.horizon)
-
-    def check_time(self, since_tick: float) -> None:
-        """Give up motions that a time [s] ends, and let it pass for inputs."""
-        context = self._context
-        if since_tick < -TIME_JUMP:
-            self._restart()
-        else:
-            self._check_platform(since_tick)
-        # While this node is held up, the other nodes are not silent.
-        elapsed = min(max(since_tick, 0.0), 2.0 * self._period)
-        for feed in (context.odom, self._scaling, context.arm_feed):
-            feed.pass_time(elapsed)
-        if self._scaling.silence > context.options.scaling_timeout:
-            why = f"no arm/speed_scaling for {self._scaling.silence:.2f} s"
-            for motion in self._with_arm:
-                motion.give_up(why, brake=True)
-
-    def _check_platform(self, since_tick: float) -> None:
-        """Give up motions whose previews the platform does not get, or that it is silent about."""
-        context = self._context
-        if self._node.now() > context.platform_previews.covered_until:
-            why, can_brake = f"no preview for {since_tick:.2f} s", False
-        elif context.odom.silence > context.options.odom_timeout:
-            why, can_brake = f"no odom for {context.odom.silence:.2f} s", True
-        else:
-            return
-        self._give_up_platform(why, brake=can_brake)
-
-    def _restart(self) -> None:
-        """Forget all that was received, because time went back."""
-        why = "time went back"
-        self._give_up_platform(why, brake=False)
-        for motion in self._with_arm:
-            motion.give_up(why, brake=False)
-        self._context.stream_monitor.restart(self._node.now())
-        self._context.odom.forget()
-        self._context.arm_feed.forget()
-
-
-#: Planning time that is expected for each point of a trajectory [s]
-PLANNING_TIME_PER_POINT = 1e-3
-
-
-class JointInterface(MotionInterface, ABC):
-    """Connects a `JointInterpolator` to the messages of the node."""
-
-    _context: MotionContext
+    _motions: Motions
     core: JointInterpolator
-    pending: PendingMotion | None = None  #: Motion that waits, where one can
+    self_collision: SelfCollisionCheck
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -334,27 +197,22 @@ class JointInterface(MotionInterface, ABC):
 
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return references (d,) and their rates at the instant of :meth:`actual`, if any."""
-        return None if self.idle else self._desired_at(self._context.arm_feed.time)
+        return None if self.idle else self._desired_at(self._motions.arm_feed.time)
 
     def points(self, message: JointTrajectory) -> JointPoints:
         """Convert the points of a trajectory of these axes, or raise InputError."""
-        max_points = self._context.options.joint_trajectory.max_points
+        max_points = self._motions.options.joint_trajectory.max_points
         return arm_conversions.joint_points(message, self.names, max_points)
-
-    def stop(self) -> None:
-        """Bring the motion to rest on its path, as a trajectory without points asks for."""
-        if not self.idle:
-            self.core.cancel(self._context.time_base.now())
 
     def start(self, motion: LoggedMotion, points: JointPoints, delay: float | None) -> None:
         """Plan a trajectory, or raise InputError; start it after a delay [s], None: at once."""
-        begin, time_base = self._node.now(), self._context.time_base
+        begin, time_base = self._node.now(), self._motions.time_base
 
         def propose(lead: float) -> JointProposal:
             now = time_base.now()
             start = None if delay is None else max(time_base.pace.motion(begin + delay), now)
             proposal = self.core.propose(points, self.rest_position(), now, lead, start)
-            self._context.self_collision().require_clear(proposal.curve)
+            self.self_collision.require_clear(proposal.curve)
             return proposal
 
         count = len(points.positions)
@@ -366,7 +224,7 @@ class JointInterface(MotionInterface, ABC):
         self, propose: Callable[[float], JointProposal], planning_time: float
     ) -> JointProposal:
         from_rest = self.idle
-        proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
+        proposal = propose_in_time(self._motions, propose, self.core.take, planning_time)
         self.output.begin(from_rest=from_rest)
         return proposal
 
@@ -379,7 +237,7 @@ class JointInterface(MotionInterface, ABC):
     ) -> str:
         """Start a motion; record and return or raise why it is refused, with a hint."""
         try:
-            if self._context.is_ending():
+            if self._motions.is_ending:
                 raise InputError("the node is shutting down")
             why = start(motion, message)
         except InputError as error:
@@ -397,34 +255,48 @@ class JointInterface(MotionInterface, ABC):
             raise InputError(why)
         return motion
 
-    def cancel(self, motion: LoggedMotion) -> None:
-        """Discard a motion that waits, or bring the one under way to rest on its path."""
-        if self.pending is not None and motion is self.pending.motion:
-            self.pending.discard()
-        elif motion is self.log.driven:
-            self.stop()
-            self._context.on_started()
+    def start_delay(self, stamp: Time) -> float | None:
+        """Return the time until a stamp [s]; None: now; InputError if it is far from now."""
+        if not is_stamped(stamp):
+            return None
+        delay = self.time_to(stamp)
+        max_delay = self._motions.options.joint_trajectory.max_delay
+        if delay < -MAX_STAMP_AGE:
+            raise InputError(f"the stamp is {-delay:.2f} s old")
+        if delay > max_delay:
+            raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
+        return delay if delay > 0.0 else None
 
+    def time_to(self, stamp: Time) -> float:
+        """Return the time from now to a stamp [s]; 0 for a zero stamp, which means now."""
+        if not is_stamped(stamp):
+            return 0.0
+        now = self._node.get_clock().now().nanoseconds
+        return float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
 
-#: Planning time that is expected of the motion to a point of a stream [s]
-STREAM_PLANNING_TIME = 0.01
-BODY = Source.BODY.value  #: Value of `active_source` while another node moves platform and arm
+    def _stop_window(self, now: float) -> Window | None:
+        """Return the last preview of a motion that is given up; see the base class."""
+        return self.core.paced_stop_window(now, self._motions.time_base.pace)
 
 
 class ArmInterface(JointInterface):
     """Trajectories of the arm, which may run next to paths of the platform."""
 
-    def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core, ArmOutput(context), MotionInput.ARM)
-        self._stream = PointStream()
+    under_way = "a trajectory of the arm is under way; ~/cancel ends it"
 
-    def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
+    def __init__(
+        self, motions: Motions, core: JointInterpolator, self_collision: SelfCollisionCheck
+    ) -> None:
+        super().__init__(motions, core, JOINT_COLUMNS, MotionInput.ARM)
+        self.self_collision, self._stream = self_collision, PointStream()
+
+    def configure(self, new: PathInterpolatorParameters) -> None:
         """Set new parameters, which apply from the next trajectory on."""
-        self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options)
+        self.core.planner = JointPlanner(AxisLimits.of_arm(new.arm), new.joint_trajectory)
 
     def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory; see the base class."""
-        points, delay = self.points(message), self._context.start_delay(message.header.stamp)
+        points, delay = self.points(message), self.start_delay(message.header.stamp)
         why = self._blocking_reason()
         if not why:
             self.start(motion, points, delay)
@@ -439,7 +311,7 @@ class ArmInterface(JointInterface):
         """
         last = message.points[-1]
         lead = time_seconds(last.time_from_start)
-        delay = max(self._context.time_to(message.header.stamp), 0.0)
+        delay = max(self.time_to(message.header.stamp), 0.0)
         if not 0.0 < lead <= STREAM_LEAD - delay:
             return False
         in_motion = not round_off.is_rest(np.array(last.velocities))
@@ -452,26 +324,26 @@ class ArmInterface(JointInterface):
 
     def follow_point(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Move the arm to the last point of a message, which may begin a stream, as a motion."""
-        points, context = self.points(message), self._context
-        target = MovingTarget.last_of(points, context.time_to(message.header.stamp))
+        points, motions = self.points(message), self._motions
+        target = MovingTarget.last_of(points, self.time_to(message.header.stamp))
         why = self._blocking_reason() or self._held_reason
-        why = self._stream.offer(self._node.now(), why, context.options.restart)
+        why = self._stream.offer(self._node.now(), why, motions.options.restart)
         if why:
             return why
-        now = context.time_base.now()
+        now = motions.time_base.now()
         lead = STREAM_PLANNING_TIME
         proposal = self.core.propose_meeting(target, self.rest_position(), now, lead)
-        context.self_collision().require_clear(proposal.curve)
+        self.self_collision.require_clear(proposal.curve)
         from_rest, begins = self.idle, not self._stream.active
-        if not self.core.take(proposal, context.time_base.now()):
+        if not self.core.take(proposal, motions.time_base.now()):
             return "the point could not be planned in time"
-        timeout = context.options.joint_trajectory.stream_timeout
+        timeout = motions.options.joint_trajectory.stream_timeout
         self._stream.follow(self._node.now() + max(timeout, target.due))
         self.output.begin(from_rest=from_rest)
         if begins:
             self._announce(motion, "a stream of points")
         else:
-            self.publish(context.options.horizon)
+            self.publish(motions.options.horizon)
         return ""
 
     @property
@@ -493,7 +365,7 @@ class ArmInterface(JointInterface):
             self._stream.lose(self._held_reason)
         if self._stream.is_silent(self._node.now()):
             self._stream.end()
-            now = self._context.time_base.now()
+            now = self._motions.time_base.now()
             if self.core.remaining(now) > 0.0:
                 self._node.get_logger().info("trajectory: the stream of points fell silent")
                 self.core.cancel(now)
@@ -502,52 +374,48 @@ class ArmInterface(JointInterface):
             self._stream.end()
 
     def _blocking_reason(self) -> str:
-        options, context = self._context.options.joint_trajectory, self._context
-        why = context.stream_monitor.stop_reason or context.conflict(self)
-        if not why and context.stream_monitor.source == BODY:
+        options, motions = self._motions.options.joint_trajectory, self._motions
+        why = motions.stream_monitor.stop_reason or motions.conflict(self)
+        if not why and motions.stream_monitor.source == Source.BODY.value:
             why = "whole_body_planner moves the arm"
-        return why or context.arm_feed.blocking_reason(options, idle=self.idle)
+        return why or motions.arm_feed.blocking_reason(options, idle=self.idle)
 
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured joint angles and rates (6,); see the base class."""
-        return self._context.arm_feed.state()
+        return self._motions.arm_feed.state()
 
     def rest_position(self) -> Array:
         """Return the joint angles (6,) at which the arm is at rest [rad]."""
-        tolerance = self._context.options.joint_trajectory.start_tolerance
-        position = self._context.arm_feed.start_position(tolerance)
+        tolerance = self._motions.options.joint_trajectory.start_tolerance
+        position = self._motions.arm_feed.start_position(tolerance)
         assert position is not None
         return position
 
 
-class WholeBodyInterface(BodyInterface, JointInterface):
-    """Trajectories of odom_x, odom_y, odom_t and the arm's joints."""
+class WholeBodyInterface(BodyInterface[ToolPlan], JointInterface):
+    """Trajectories of odom_x, odom_y, odom_t and the arm's joints, and planned tool paths."""
 
-    _context: MotionContext
+    _motions: Motions
     core: JointInterpolator  #: Interpolator of the nine axes
     pending: PendingMotion
 
-    def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core, MotionInput.BODY)
-        self.pending = PendingMotion(
-            self._node,
-            context.stream_monitor,
-            self.log,
-            self.blocking_reason,
-            conflict=lambda: context.conflict(self),
-        )
+    def __init__(
+        self, motions: Motions, core: JointInterpolator, self_collision: SelfCollisionCheck
+    ) -> None:
+        super().__init__(motions, core, MotionInput.BODY)
+        self.self_collision = self_collision
+        self.pending = self._pending_motion(self.blocking_reason)
 
     def configure(self, new: PathInterpolatorParameters) -> None:
         """Set new parameters, which apply from the next trajectory on."""
         limits = WholeBodyLimits.of_whole_body(new.core, new.arm)
         self.core.planner = JointPlanner(limits, new.joint_trajectory)
-        if self._tool is not None:
-            self._tool.correction.options = new.tool_path
+        self.configure_tool(new)
 
     def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait for the robot; see the base class."""
         points = self.points(message)
-        delay = self._context.start_delay(message.header.stamp)
+        delay = self.start_delay(message.header.stamp)
         start = None if delay is None else self._node.now() + delay
         if self._tool is not None and not self.idle:
             return "a path of the tool is under way; ~/cancel ends it"
@@ -563,7 +431,7 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         if self.idle:
             heading = self.rest_position()[HEADING_COLUMN]
         else:
-            now = np.array([self._context.time_base.now()])
+            now = np.array([self._motions.time_base.now()])
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
         return points.unwrapped(HEADING_COLUMN, float(heading))
 
@@ -571,19 +439,13 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         """Return each part's references at its own time of measurement; see the base class."""
         if self.idle:
             return None
-        platform = self._desired_at(self._context.odom.time)
-        arm = self._desired_at(self._context.arm_feed.time)
+        platform = self._desired_at(self._motions.odom.time)
+        arm = self._desired_at(self._motions.arm_feed.time)
         x, v, a = (
             np.concatenate([p[PLATFORM_COLUMNS], q[JOINT_COLUMNS]])
             for p, q in zip(platform, arm, strict=True)
         )
         return x, v, a
-
-    def follow_tool_path(self, motion: LoggedMotion, plan: ToolPlan, tool: ToolStream) -> None:
-        """Start a path of the tool that was planned from the robot's present position."""
-        self._take(lambda _: JointProposal(plan.curve, None, None), 0.0)
-        self._tool = tool
-        self._announce(motion, f"{plan.length:.2f} m of the tool in {plan.curve.duration:.2f} s")
 
     def _take(
         self, propose: Callable[[float], JointProposal], planning_time: float
@@ -593,39 +455,21 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         self._tool = None
         return proposal
 
-
-class PlannedToolDriver:
-    """Plans with a `ToolPlanner`; see `ToolDriver`."""
-
-    def __init__(self, context: MotionContext, whole_body: WholeBodyInterface) -> None:
-        self._context, self._whole_body = context, whole_body
-        self._model = WholeBodyModel(context.options.mount)
-
     def planner(self, poses: Array, start: Array) -> Callable[[], ToolPlan]:
         """Return what plans a motion, and checks it for collisions of the robot with itself."""
-        p = self._context.options
+        p, check = self._motions.options, self.self_collision
         limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
-        planner = ToolPlanner(self._model, limits, p.tool_path)
-        self_collision = self._context.self_collision()
+        planner = ToolPlanner(self.model, limits, p.tool_path)
 
         def plan() -> ToolPlan:
             result = planner.plan(poses, start)
-            self_collision.require_clear(result.curve)
+            check.require_clear(result.curve)
             return result
 
         return plan
 
     def drive(self, motion: LoggedMotion, plan: ToolPlan) -> None:
-        """Start a planned motion."""
-        p = self._context.options
-        stream = ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity"))
-        self._whole_body.follow_tool_path(motion, plan, stream)
-
-
-def planned_tool_paths(
-    context: MotionContext, whole_body: WholeBodyInterface
-) -> ToolInterface[ToolPlan] | None:
-    """Return the interface for paths of the tool, or None if another node takes them."""
-    if not context.options.takes_tool_paths:
-        return None
-    return ToolInterface(context, whole_body, PlannedToolDriver(context, whole_body))
+        """Start a path of the tool that was planned from the robot's present position."""
+        self._take(lambda _: JointProposal(plan.curve, None, None), 0.0)
+        self._lead(plan)
+        self._announce(motion, f"{plan.length:.2f} m of the tool in {plan.curve.duration:.2f} s")

@@ -1,0 +1,178 @@
+"""The tool on its path while platform and arm avoid obstacles: tasks, and why they wait."""
+
+import math
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import TYPE_CHECKING
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
+from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
+from omniman_ros.nodes.path_interpolator.tool import BodyInterface, in_background
+from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
+from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
+from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
+from omniman_ros.planning.whole_body.parameters import BodySetup
+from omniman_ros.planning.whole_body.platform_path import NoPathError
+
+if TYPE_CHECKING:  # needs casadi, which is optional
+    from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
+    from omniman_ros.planning.whole_body.task import BodyTask
+
+PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
+#: Time without progress after which the robot counts as waiting, and another way is searched for;
+#: least time between two searches [s].
+BLOCKED = 1.0
+
+
+class AvoidanceInterface(BodyInterface["BodyTask"]):
+    """Plans tasks of the whole body, and drives one at a time."""
+
+    _motions: MotionCoordinator[WholeBodyPlannerParameters]
+    core: "AvoidanceMotion"  #: Motion that is driven
+
+    def __init__(
+        self,
+        motions: MotionCoordinator[WholeBodyPlannerParameters],
+        core: "AvoidanceMotion",
+        surroundings: SurroundingsInterface,
+    ) -> None:
+        super().__init__(motions, core, MotionInput.TOOL_PATH)
+        self._surroundings = surroundings
+        self._found: Obstruction | None = None  # of the last cycle
+        self._nearest: Obstruction | None = None  # on the way of the last cycle
+        self.cycle_time = math.nan
+        self._no_path: NoPathError | None = None  # of the last search, until there is progress
+        self._search: Future[None] | None = None
+        self._path_parameter = self._moved_at = self._cycled_at = 0.0
+        self._searched_at = -math.inf
+
+    def configure(self, new: WholeBodyPlannerParameters) -> None:
+        """Set new parameters, which apply from the next path on."""
+        self.core.limits = WholeBodyLimits.of_whole_body(new.core, new.arm)
+        self.configure_tool(new)
+
+    def planner(self, poses: Array, start: Array) -> "Callable[[], BodyTask]":
+        """Return what makes a task: it searches for the platform's way."""
+        # Imported here, so that the parameters of the node can be read without casadi.
+        from omniman_ros.planning.whole_body.task import WholeBodyTask
+
+        setup, now = self._setup(), self._motions.time_base.now()
+        around = self._surroundings.obstacle_snapshot()
+        return lambda: WholeBodyTask(setup, poses, start, now, around)
+
+    def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
+        """Return what makes a task that holds the tool where it is, from positions (9,)."""
+        from omniman_ros.planning.whole_body.task import ToolHold
+
+        setup, now = self._setup(), self._motions.time_base.now()
+        return lambda: ToolHold(setup, start, now)
+
+    def expect_path(self) -> None:
+        """Prepare for a path of the tool; see the base class."""
+        self._surroundings.dismiss_silent_source()
+
+    def _setup(self) -> BodySetup:
+        p = self._motions.options
+        load = p.load if p.load.is_carried else None
+        return BodySetup(p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge)
+
+    def drive(self, motion: LoggedMotion, task: "BodyTask") -> None:
+        """Start a task from the robot's present position."""
+        now = self._node.now()
+        self.core.follow(task)
+        self._lead(self.core)
+        self.output.begin(from_rest=True)
+        self._search = self._found = self._nearest = self._no_path = None
+        self._path_parameter, self._moved_at, self._cycled_at = 0.0, now, now
+        length = task.redundancy.path.length()
+        what = f"{length:.2f} m of the tool" if task.has_end else "the tool is held"
+        self._announce(motion, what)
+
+    def platform_reference(self, motion_time: float) -> Array:
+        """Return the planned pose of the platform; see the base class."""
+        return self.core.platform(motion_time)
+
+    @property
+    def max_pace(self) -> float:
+        """Highest pace, 0 to 1; the robot stands while it does not know what is around it."""
+        return 0.0 if not self.idle and self._surroundings.silence_reason() else super().max_pace
+
+    @property
+    def obstruction(self) -> Obstruction | None:
+        """What is in the way, as the last cycle found it, or else the last search.
+
+        Of a robot that waits with a clear plan, it is what leaves the least room.
+        """
+        if self._found is not None:
+            return self._found
+        if self._no_path is not None:
+            return self._no_path.obstruction
+        return self._nearest if self.waiting_time() >= BLOCKED else None
+
+    def waiting_time(self) -> float:
+        """Return how long there has been no progress [s]."""
+        is_led = self.core.state is PathState.FOLLOWING
+        return self._node.now() - self._moved_at if is_led else 0.0
+
+    def waiting_reason(self) -> str:
+        """Return why the robot waits on its path, or an empty string."""
+        if self.waiting_time() < BLOCKED:
+            return ""
+        if silence := self._surroundings.silence_reason():
+            return silence
+        return str(self._no_path or self.obstruction or "the robot is slowed down")
+
+    def plan(self) -> None:
+        """Choose the motion for the next cycle, and give up if there is no way on."""
+        begin, time_base = self._node.now(), self._motions.time_base
+        now, pace = time_base.now(), time_base.pace
+        elapsed, self._cycled_at = begin - self._cycled_at, begin
+        around = self._surroundings.obstacle_snapshot()
+        outcome = self.core.cycle(now, pace.rate(begin), around)
+        if outcome is None:  # paused, braking or at its end: no progress is expected
+            self._moved_at += elapsed
+            self._found = self._nearest = None
+            return
+        self.cycle_time = self._node.now() - begin
+        self._found, self._nearest = outcome.obstruction, outcome.verdict.nearest
+        if not self.core.task.has_end:
+            self._moved_at = begin
+            return
+        path_parameter = self.core.path_parameter(now)
+        if path_parameter > self._path_parameter + PROGRESS:
+            self._path_parameter, self._moved_at, self._no_path = path_parameter, begin, None
+        elif pace.target == 0.0 and not self._surroundings.silence_reason():
+            self._moved_at += elapsed  # who slows the robot down wants it to wait
+        self._search_if_blocked(begin, now)
+        if begin - self._moved_at > self._motions.options.patience:
+            self.give_up(f"it waited in vain: {self.waiting_reason()}", brake=True)
+
+    def _search_if_blocked(self, now: float, motion_time: float) -> None:
+        """Search for another way, in the background, as something stands in the way of this one.
+
+        Also while there is no progress, whatever the cause.
+        """
+        if self._search is not None:
+            if not self._search.done():
+                return
+            search, self._search = self._search, None
+            try:
+                search.result()
+                self._no_path = None
+            except NoPathError as error:
+                self._no_path = error
+            except Exception as error:  # raised in the thread; it must not end the node
+                self._node.get_logger().error(f"search failed: {type(error).__name__}: {error}")
+        stands = self._found is not None and self._found.cause is Cause.STANDING
+        is_blocked = stands or self.waiting_time() >= BLOCKED
+        if is_blocked and now - self._searched_at >= BLOCKED:
+            self._searched_at = now
+            task, around = self.core.task, self._surroundings.obstacle_snapshot()
+            self._search = in_background(lambda: task.search(motion_time, around))
+
+    def blocking_reason(self) -> str:
+        """Return why no path can start yet, or an empty string."""
+        return self._surroundings.silence_reason() or super().blocking_reason()
