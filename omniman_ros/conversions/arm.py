@@ -17,7 +17,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.repairs import note_repair
 from omniman_ros.core.rigid import ROUNDING, UNIT_TOLERANCE
 from omniman_ros.motion.path.joint_points import JointPoints
-from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.path.pace import Window
 from omniman_ros.ur.joint_preview import MAX_POINTS
 
 

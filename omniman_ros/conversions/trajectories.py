@@ -19,7 +19,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import MAX_POINTS, Preview
-from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.path.pace import Window
 
 PLATFORM_JOINT = "platform"  #: Name of the platform's joint in previews
 

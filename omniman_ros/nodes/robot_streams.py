@@ -23,8 +23,8 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import MAX_POINTS
 from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.motion.path.joint_parameters import ArmFollowing
+from omniman_ros.motion.path.pace import Window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.window import Window
 from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
 

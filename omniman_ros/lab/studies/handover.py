@@ -39,8 +39,8 @@ from omniman_ros.lab.studies.tool_path import (
 )
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.interpolator import PathInterpolator
+from omniman_ros.motion.path.pace import Window
 from omniman_ros.motion.path.parameters import PathParameters
-from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.motion.station.parameters import StationParameters
 from omniman_ros.simulation.plant.parameters import MismatchParameters

@@ -12,11 +12,11 @@ In the order of the computation:
 * `parameters`: the parameters of the platform's paths;
 * `joint_points`, `spline_derivatives`, `timed_curve`, `axis_limits`: trajectories of joints, with
   given times, which are kept and checked, or planned as above;
-* `moving_target`, `point_stream`: streams of single points;
+* `moving_target`: streams of single points;
 * `joint_interpolator`: follow, pause, resume, cancel, replace trajectories of joints;
   `joint_parameters`: their parameters; `trajectory_goal`: tolerances of their action goals;
-* `pace`: slows all motions down together on their paths, and back up again;
-* `window`: stretches of the resulting streams.
+* `pace`: slows all motions down together on their paths, and back up again; stretches of the
+  resulting streams.
 
 All modules work on any number of coordinates (`axis_group`), so that arm joints can share the
 time base.

@@ -13,11 +13,10 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.motion.path import polyline
-from omniman_ros.motion.path.pace import LEAD, LimitUsage
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Window
 from omniman_ros.motion.path.parameters import TICK, PathParameters
 from omniman_ros.motion.path.planner import AT_REST, PathPlanner, Plan
 from omniman_ros.motion.path.trajectory import Trajectory
-from omniman_ros.motion.path.window import Window
 
 #: Distance before and after a corner over which the heading changes, in corner tolerances
 HEADING_BLEND = 4.0

@@ -17,10 +17,9 @@ from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints, KinematicState
 from omniman_ros.motion.path.moving_target import MovingTarget, curve_to
-from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace, Window
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
-from omniman_ros.motion.path.window import Window
 
 #: Time for which a replaced motion is kept, as measurements are older than now [s]
 REPLACED_MOTION_MEMORY = 0.25

@@ -252,3 +252,68 @@ class Pace:
         root = np.sqrt(np.maximum(middle * middle + speed * room, 0.0))
         low, high = float(((-middle - root) / speed).max()), float(((root - middle) / speed).min())
         return min(low, 0.0), max(high, 0.0)
+
+
+@dataclass(frozen=True)
+class Window(Validated):
+    """A stretch of a stream of d axes: the motion (k, d) at its times, in SI units."""
+
+    times: Annotated[Array, Shape("k")]  #: Times (k,) [s]
+    positions: Annotated[Array, Shape("k", "d")]
+    velocities: Annotated[Array, Shape("k", "d")]
+    accelerations: Annotated[Array, Shape("k", "d")]
+
+    def columns(self, columns: slice) -> "Window":
+        """Return the same stretch for some of the axes."""
+        arrays = (self.positions, self.velocities, self.accelerations)
+        return Window(self.times, *(array[:, columns] for array in arrays))
+
+    def slowed(self, start: float, rate: float) -> "Window":
+        """Return the same path, driven from `start` [s] on at a constant rate above 0."""
+        times = start + (self.times - self.times[0]) / rate
+        return Window(times, self.positions, self.velocities * rate, self.accelerations * rate**2)
+
+
+def paced_window(
+    pace: Pace, sample: Callable[[Array], tuple[Array, Array, Array]], times: Array
+) -> Window:
+    """Sample a motion that is driven at a pace.
+
+    Args:
+        sample: Returns x, x', x'' (k, d) of the motion at motion times (k,) [s].
+        times: (k,) increasing [s].
+    """
+    paced = pace.sample(times)
+    return Window(times, *paced.apply(*sample(paced.motion)))
+
+
+HEADROOM = 0.95  #: Part of the allowed speed that the motion uses; the rest is left to feedback
+
+
+@dataclass(frozen=True)
+class SpeedBound(Validated):
+    """Limits of speed to which the fractions of a motion limit refer."""
+
+    linear: float  #: Linear speed of the platform [m/s]
+    angular: float  #: Yaw rate [rad/s]
+    #: Rate (6,) of each joint of the arm [rad/s]
+    rates: Annotated[Array, Shape("j", low=0.0, unit="rad/s")]
+
+    def pace(self, velocities: Array, platform: float, arm: float) -> float:
+        """Return the largest pace, 0 to 1, at which platform and arm keep to their shares.
+
+        The velocities (k, 9) of platform and joints are those at full pace [m/s, rad/s].
+
+        Args:
+            velocities: Velocities (k, 9) of platform and joints at full pace [m/s, m/s, rad/s,
+                rad/s ...].
+        """
+        v = np.abs(velocities)
+        linear = float(np.hypot(v[:, 0], v[:, 1]).max())
+        platform_use = max(linear / self.linear, float(v[:, 2].max()) / self.angular)
+        arm_use = float((v[:, 3:] / self.rates).max())
+        pace = 1.0
+        for use, fraction in ((platform_use, platform), (arm_use, arm)):
+            if fraction < 1.0 and use > 0.0:
+                pace = min(pace, HEADROOM * fraction / use)
+        return pace

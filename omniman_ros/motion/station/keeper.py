@@ -20,9 +20,8 @@ from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.planar import Triple
 from omniman_ros.core.validated import Validated
-from omniman_ros.motion.path.pace import LEAD
+from omniman_ros.motion.path.pace import LEAD, Window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.station.parameters import StationParameters
 
 LEAVING = 2.0  #: Multiple of the tolerances above which a kept station counts as approached again

@@ -18,9 +18,8 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
-from omniman_ros.motion.path.pace import Pace
+from omniman_ros.motion.path.pace import Pace, Window, paced_window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 

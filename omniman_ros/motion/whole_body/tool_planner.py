@@ -16,8 +16,7 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
-from omniman_ros.motion.whole_body.tool_timing import PathProgress, ToolTimer
-from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
+from omniman_ros.motion.whole_body.tool_timing import PathProgress, ToolTimer, WholeBodyPath
 
 RIGIDITY_TOLERANCE = 1e-6  #: Largest deviation of an element of R R^T from the identity
 #: Number of decimals of poses in the frame of the platform's start: a picometre

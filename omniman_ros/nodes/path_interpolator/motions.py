@@ -16,9 +16,8 @@ from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.axes import AXES, HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
+from omniman_ros.motion.path.pace import SpeedBound, Window, paced_window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.speed_bound import SpeedBound
-from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.motion_log import (
     LoggedMotion,

@@ -16,8 +16,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import PLATFORM_COLUMNS
-from omniman_ros.motion.path.pace import Pace
-from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.path.pace import Pace, Window
 from omniman_ros.motion.whole_body.correction import LedTool, ToolStream
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.motion_log import (

@@ -22,9 +22,8 @@ from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathProposal, PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
-from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget
-from omniman_ros.motion.path.point_stream import PointStream
-from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.path.moving_target import STREAM_LEAD, MovingTarget, PointStream
+from omniman_ros.motion.path.pace import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput, PendingMotion

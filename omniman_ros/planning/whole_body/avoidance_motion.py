@@ -9,9 +9,8 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
-from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace
+from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace, Window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.motion_choice import PREVIEW_DURATION

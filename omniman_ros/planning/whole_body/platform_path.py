@@ -8,7 +8,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.validated import Validated
-from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline
+from omniman_ros.motion.whole_body.tool_timing import PlatformSpline
 from omniman_ros.planning.whole_body.obstruction import Obstruction
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from omniman_ros.motion.path.point_stream import PointStream
+from omniman_ros.motion.path.moving_target import PointStream
 
 PAUSE = 1.2
 

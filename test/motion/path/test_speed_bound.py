@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniman_ros.motion.path.speed_bound import HEADROOM, SpeedBound
+from omniman_ros.motion.path.pace import HEADROOM, SpeedBound
 
 BOUND = SpeedBound(1.0, 2.0, np.full(6, 3.0))
 

@@ -10,7 +10,7 @@ from omniman_ros.motion.whole_body.redundancy_resolver import (
     solve_block_tridiagonal,
 )
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
-from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline, WholeBodyPath
+from omniman_ros.motion.whole_body.tool_timing import PlatformSpline, WholeBodyPath
 from test.motion.whole_body.tool_support import (
     ARM,
     LIMITS,
