@@ -72,7 +72,7 @@ class SurroundingsInterface:
                 found.obstacles.select(np.flatnonzero(moves)), found.velocity[:, moves]
             ),
             ellipses.growth[moves],
-            (*still, *self._standing_names, *walking),
+            names=(*still, *self._standing_names, *walking),
         )
 
     def _use_map(self, grid: GridMap) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
@@ -25,6 +26,8 @@ PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
 #: Time without progress after which the robot counts as waiting, and another way is searched for;
 #: least time between two searches [s].
 BLOCKED = 1.0
+DELAY_DECAY = 0.9  #: Factor by which the delay of plans that is expected falls from cycle to cycle
+LONGEST_SENT = 2.0  #: Longest time for which a motion is sent ahead [s]
 
 
 class AvoidanceInterface(BodyInterface["BodyTask"]):
@@ -44,6 +47,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self._found: Obstruction | None = None  # of the last cycle
         self._nearest: Obstruction | None = None  # on the way of the last cycle
         self.cycle_time = math.nan
+        self._delay = 0.0  # until a plan is used, by the last cycles [s]
+        self._held = 0.0  # time for which a limit has held the robot [s]
         self._no_path: NoPathError | None = None  # of the last search, until there is progress
         self._search: Future[None] | None = None
         self._path_parameter = self._moved_at = self._cycled_at = 0.0
@@ -100,6 +105,17 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         """Highest pace, 0 to 1; the robot stands while it does not know what is around it."""
         return 0.0 if not self.idle and self._surroundings.silence_reason() else super().max_pace
 
+    def publish(self, horizon: float, *, platform: bool = True) -> None:
+        """Publish previews of both parts, or of the arm alone, until the robot rests on its path.
+
+        Who receives them follows the last ones to their end if this node falls silent.
+        """
+        if not self.idle:
+            now, time_base = self._node.now(), self._motions.time_base
+            rest = self.core.time_to_rest(time_base.pace.motion(now), time_base.pace.rate(now))
+            horizon = max(horizon, min(rest + TICK, LONGEST_SENT))
+        super().publish(horizon, platform=platform)
+
     @property
     def obstruction(self) -> Obstruction | None:
         """What is in the way, as the last cycle found it, or else the last search.
@@ -131,12 +147,14 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         now, pace = time_base.now(), time_base.pace
         elapsed, self._cycled_at = begin - self._cycled_at, begin
         around = self._surroundings.obstacle_snapshot()
-        outcome = self.core.cycle(now, pace.rate(begin), around)
+        ahead = self._motions.options.horizon
+        outcome = self.core.cycle(now, pace.rate(begin), around, self._delay, ahead)
         if outcome is None:  # paused, braking or at its end: no progress is expected
             self._moved_at += elapsed
             self._found = self._nearest = None
             return
         self.cycle_time = self._node.now() - begin
+        self._delay = max(self.cycle_time, DELAY_DECAY * self._delay)
         self._found, self._nearest = outcome.obstruction, outcome.verdict.nearest
         if not self.core.task.has_end:
             self._moved_at = begin
@@ -146,14 +164,16 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             self._path_parameter, self._moved_at, self._no_path = path_parameter, begin, None
         elif pace.target == 0.0 and not self._surroundings.silence_reason():
             self._moved_at += elapsed  # who slows the robot down wants it to wait
-        self._search_if_blocked(begin, now)
+        held, self._held = self._held, self._held + elapsed if pace.target == 0.0 else 0.0
+        self._search_if_blocked(begin, now, is_held=held < BLOCKED <= self._held)
         if begin - self._moved_at > self._motions.options.patience:
             self.give_up(f"it waited in vain: {self.waiting_reason()}", brake=True)
 
-    def _search_if_blocked(self, now: float, motion_time: float) -> None:
+    def _search_if_blocked(self, now: float, motion_time: float, *, is_held: bool) -> None:
         """Search for another way, in the background, as something stands in the way of this one.
 
-        Also while there is no progress, whatever the cause.
+        Also while there is no progress, whatever the cause, and once where a limit holds the robot
+        for long: it may depend on where the robot wants to go.
         """
         if self._search is not None:
             if not self._search.done():
@@ -167,7 +187,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             except Exception as error:  # raised in the thread; it must not end the node
                 self._node.get_logger().error(f"search failed: {type(error).__name__}: {error}")
         stands = self._found is not None and self._found.cause is Cause.STANDING
-        is_blocked = stands or self.waiting_time() >= BLOCKED
+        is_blocked = stands or is_held or self.waiting_time() >= BLOCKED
         if is_blocked and now - self._searched_at >= BLOCKED:
             self._searched_at = now
             task, around = self.core.task, self._surroundings.obstacle_snapshot()
