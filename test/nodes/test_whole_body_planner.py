@@ -12,7 +12,7 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.whole_body_planner.node import WholeBodyPlannerNode
 from test.nodes.harness import PERIOD
-from test.nodes.test_path_interpolator_tool import START, ToolWorld
+from test.nodes.test_path_interpolator_tool import MODEL, START, ToolWorld
 from test.nodes.whole_robot import Judge, Post
 from test.tiers import exhaustive
 
@@ -201,6 +201,20 @@ def test_the_speed_scaling_of_the_arm_slows_platform_and_tool(world):
     world.scaling = 1.0
     world.run_to_motion_end(30.0)
     assert world.tool_errors().max() < 1e-4
+
+
+def test_the_last_previews_lead_to_rest_on_the_path_of_the_tool(world):
+    """So platform and arm rest there together if the planner is killed."""
+    world.lead()
+    world.run(2.0)
+    platform, arm = world.preview(-1), world.joint_previews[-1][2]
+    assert platform.end == pytest.approx(arm.end, abs=PERIOD)
+    times = np.linspace(world.time, platform.end, 30)
+    axes = np.array([[*platform.sample(t).pose, *arm.sample(t)[0]] for t in times])
+    tool = MODEL.forward(axes)[:, :3, 3]
+    assert np.abs(tool[:, 1:] - START[1:3, 3]).max() < 1e-5
+    assert tool[-1, 0] - tool[0, 0] > 0.08, "it goes on at first"
+    assert platform.end_speed < 1e-6 and np.abs(arm.sample(arm.end)[1]).max() < 1e-6
 
 
 def test_a_platform_that_is_far_off_its_path_ends_it(world):
