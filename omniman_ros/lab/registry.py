@@ -104,6 +104,12 @@ BENCHMARKS = {
         "the body avoids obstacles, the tool stays on its path, beside a fixed posture: completed "
         "scenes, contacts, error of the tool, CPU time of a cycle",
     ),
+    "whole_body_running": Study(
+        "bench.whole_body_running",
+        "the same scenes with all nodes as processes in the physics world: contacts, error of the "
+        "tool, CPU time of a cycle; nothing around, beside `path_interpolator`; a planner that is "
+        "killed or frozen",
+    ),
     "tracker": Study(
         "bench.tracker",
         "people in the physics world as `obstacle_tracker` sees them: velocity, identity, false "

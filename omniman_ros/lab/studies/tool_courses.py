@@ -48,6 +48,13 @@ def s_curve(distance: Array, length: float) -> Array:
     return np.column_stack([x, y, S_HEIGHT * np.sin(phase), S_HEADING * np.sin(phase)])
 
 
+def corner(distance: Array, length: float) -> Array:
+    """Return positions and headings (k, 4) on an L of two equal straights; see `Course`."""
+    half = 0.5 * length
+    x, y = np.minimum(distance, half), np.maximum(distance - half, 0.0)
+    return np.column_stack([x, y, np.zeros_like(distance), np.zeros_like(distance)])
+
+
 #: Shapes of the paths, by name
 COURSES: Mapping[str, Course] = {"straight": straight, "S": s_curve, "circle": circle}
 
@@ -58,15 +65,22 @@ def start() -> Array:
 
 
 def tool_poses(model: WholeBodyModel, name: str, length: float, count: int | None = None) -> Array:
+    """Return poses (k, 4, 4) of `tool0` in odom along a named course; see `course_poses`."""
+    return course_poses(model, COURSES[name], length, count)
+
+
+def course_poses(
+    model: WholeBodyModel, course: Course, length: float, count: int | None = None
+) -> Array:
     """Return poses (k, 4, 4) of `tool0` in odom along a course that begins at the start.
 
     They are equidistant; without a count, they are `SPACING` apart.
     """
     distance = np.linspace(0.0, length, count or math.ceil(length / SPACING) + 1)
-    course = COURSES[name](distance, length)
+    places = course(distance, length)
     poses = np.tile(model.forward(start()), (len(distance), 1, 1))
-    poses[:, :3, 3] += course[:, :3]
-    c, s = np.cos(course[:, 3]), np.sin(course[:, 3])
+    poses[:, :3, 3] += places[:, :3]
+    c, s = np.cos(places[:, 3]), np.sin(places[:, 3])
     turn = np.zeros((len(distance), 3, 3))
     turn[:, 0, 0] = turn[:, 1, 1] = c
     turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = -s, s, 1.0

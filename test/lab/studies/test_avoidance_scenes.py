@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from omniman_ros.lab.bench import whole_body_obstacles as bench
-from omniman_ros.lab.bench.whole_body_obstacles import ROOM, START, TABLE
+from omniman_ros.lab.studies.avoidance_scenes import ROOM, START, TABLE, SceneGenerator
 from omniman_ros.simulation.world.distances import ConfigurationDistances
 
 
 def test_a_scene_is_in_the_way_of_the_fixed_posture_and_clear_at_the_start():
-    runner = bench.Bench("omniman")
-    scene = runner.scene("table", 0)
-    judge = ConfigurationDistances(runner.setup.description, [TABLE])
+    generator = SceneGenerator("omniman")
+    scene = generator.scene("table", 0)
+    assert scene is not None
+    judge = ConfigurationDistances(generator.setup.description, [TABLE])
     judge.place(START[:3], START[3:], scene.places)
     assert judge.distances(1.0)[0] >= ROOM
     gaps = []
