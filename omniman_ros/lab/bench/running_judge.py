@@ -150,7 +150,7 @@ def rest_time(recording: Recording, since: float) -> float | None:
         table = between(np.array(rows), since, np.inf)
         moves = np.flatnonzero(table[:, -1] > bound)
         last = table[moves[-1], 0] if len(moves) else since
-        if table[-1, 0] - last < REST_TIME:
+        if not len(table) or table[-1, 0] - last < REST_TIME:
             return None
         rests.append(float(last))
     return max(rests) - since

@@ -126,15 +126,18 @@ class Bench:
 
     def lose(self, number: signal.Signals, length: float) -> dict[str, Any]:
         """Return the figures of a planner that gets a signal on its way."""
-        scene, axes = self.course("straight", length), tool_courses.start()
+        scene, axes = self.course("S", length), tool_courses.start()
         with self._running({}, axes, avoids=True) as body:
             rec = body.recording
             start(body, scene)
             body.demand(lambda: body.progress >= LOST_AT, 60.0, "the robot did not get far")
             lost = body.session.now()
             os.kill(body.children.pid(WHOLE_BODY_PLANNER), number)
-            body.wait(lambda: judge.rest_time(rec, lost) is not None, REST_TIMEOUT)
-            rest, at_rest = judge.rest_time(rec, lost), body.session.now()
+            rest = None
+            while rest is None and body.session.now() < lost + REST_TIMEOUT:
+                body.wait(lambda: False, judge.REST_TIME)
+                rest = judge.rest_time(rec, lost)
+            at_rest = body.session.now()
             if number == signal.SIGSTOP:
                 os.kill(body.children.pid(WHOLE_BODY_PLANNER), signal.SIGCONT)
             body.wait(lambda: False, WATCHED)

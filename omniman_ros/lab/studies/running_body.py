@@ -115,7 +115,6 @@ class RunningBody:
         self._told = -np.inf
         self._subscribe()
         self._paths = session.node.create_publisher(PathMessage, "tool_path", 10)
-        self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 10)
         self._follower = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
 
     def _subscribe(self) -> None:
@@ -177,6 +176,8 @@ class RunningBody:
 
     def tell(self, scene: AvoidanceScene) -> None:
         """Tell the robot from now on where things are in a scene that begins in a while."""
+        # The robot waits for whoever could publish obstacles.
+        self._obstacles = self.session.node.create_publisher(MarkerArray, "obstacles", 10)
         self._scene, self.recording.begin = scene, self.session.now() + LEAD
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:

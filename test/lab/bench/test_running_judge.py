@@ -4,6 +4,8 @@ import pytest
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.bench import running_judge as judge
+from omniman_ros.lab.bench import whole_body_running
+from omniman_ros.lab.bench.harness import aims
 from omniman_ros.lab.studies.avoidance_scenes import PERSON, POST, START, TABLE, AvoidanceScene
 from omniman_ros.lab.studies.running_body import Recording, world_elements
 from omniman_ros.motion.path.timed_curve import TimedCurve
@@ -116,3 +118,22 @@ def test_only_what_stands_is_in_the_physics_world():
     (table,) = world_elements(scene)["posts"]
     assert (table["x"], table["height"]) == (1.0, TABLE.heights[1])
     assert scene.places_at(2.0)[1] == pytest.approx([3.0, 1.0])
+
+
+def test_the_report_has_a_row_for_each_run_and_a_missed_aim_is_missed():
+    scene = {**SCENE, "kind": "posts", "seed": 2, "path_rms_mm": 1.5}
+    refused = {**SCENE, "kind": "posts", "seed": 3, "outcome": "refused"}
+    for key in ("path_rms_mm", "cycle", "time_ratio"):
+        del refused[key]
+    course = {**SCENE, "course": "S", "driver": "path_interpolator", "duration_s": 9.0}
+    course |= {"tool_acceleration": 0.5, "joint_acceleration": 1.0}
+    lost = {"signal": "SIGKILL", "rest_s": None, "path_max_mm": 1.0, "path_rest_mm": 0.5}
+    lost["moved_at_rest"] = {"platform_mm": 0.0, "joints_mrad": 0.0}
+    scenes = [scene, refused]
+    result = {"scenes": scenes, "courses": [course], "lost": [lost]}
+    tables = whole_body_running.report({**result, "summary": judge.summary(scenes)})
+    assert [len(table.figures) for table in tables] == [2, 1, 1, 6]
+    met = aims(tables)
+    assert met["contacts of a robot that moves"] is True
+    assert met["completed, or waiting without contact"] is False
+    assert met["tool off its path, RMS"] is False
