@@ -27,7 +27,7 @@ from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.studies.avoidance_scenes import AvoidanceScene
 from omniman_ros.nodes.clock_follower import ClockFollower
-from omniman_ros.nodes.motion_events import TOPIC as EVENTS
+from omniman_ros.nodes.motion_log import TOPIC as EVENTS
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, redirect_signals
