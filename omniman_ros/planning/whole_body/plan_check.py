@@ -42,9 +42,9 @@ class PlanVerdict:
     #: Time from which it must not be followed [s]; infinite if it may
     obstructed_at: float
     #: Time at which a part of the robot touches something, if all move on as they do [s]; minus
-    #: infinity if the motion breaks reach or limits
+    #: infinity if the motion breaks reach or limits, or has parts of the robot meet
     contact: float
-    gap: float  #: Least gap on the way [m]
+    gap: float  #: Least gap to obstacles on the way [m], up to `moving_clearance`
     #: Obstacle that leaves the least room on the way; None without any
     nearest: Obstruction | None = None
 
@@ -75,7 +75,6 @@ class PlanCheck:
         self, motion: HermiteTrajectory, now: float, until: float, around: ObstacleSnapshot
     ) -> PlanVerdict:
         """Check a motion to its end, or longer; what moves is looked at up to `until` [s]."""
-        o, standing = self._options, len(around.standing)
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)
         z, rates = motion.at(times)
@@ -85,36 +84,43 @@ class PlanCheck:
             return PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
+        is_near = _too_near(own[:, None], self._options.own_clearance)[:, 0]
+        if is_near.any():
+            k = int(is_near.argmax())
+            parts = self._gaps.nearest_own(placed, k)
+            fault = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts)
+            return PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
         of_parts = self._gaps.to_obstacles(z[:, :3], placed, around.placed(times - around.time))
+        return self._beside(times, z[:, PATH_PARAMETER], of_parts, around)
+
+    def _beside(
+        self, times: Array, places: Array, of_parts: Array, around: ObstacleSnapshot
+    ) -> PlanVerdict:
+        """Return the verdict on gaps (k, parts, M) to obstacles at times and places (k,)."""
+        o, standing = self._options, len(around.standing)
         gaps = of_parts.min(axis=1)
-        least = np.minimum(own, gaps.min(axis=1, initial=np.inf))
-        touches = np.flatnonzero(least <= 0.0)
-        contact = float(times[touches[0]]) if len(touches) else math.inf
-        grown = gaps.copy()
-        grown[:, standing:] -= around.growth * (times - now)[:, None]
+        if not gaps.shape[1]:
+            return PlanVerdict(None, math.inf, math.inf, math.inf)
 
         def obstacle(k: int, index: int) -> Obstruction:
             cause = Cause.STANDING if index < standing else Cause.MOVING
             part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
-            return Obstruction(cause, float(z[k, PATH_PARAMETER]), part, around.labels()[index])
+            return Obstruction(cause, float(places[k]), part, around.labels()[index])
 
-        found = nearest = None
-        if gaps.shape[1]:
-            clearance = np.full(gaps.shape[1], o.clearance)
-            clearance[standing:] = o.moving_clearance
-            room = grown - clearance
-            nearest = obstacle(*divmod(int(room.argmin()), room.shape[1]))
+        touches = np.flatnonzero((gaps <= 0.0).any(axis=1))
+        contact = float(times[touches[0]]) if len(touches) else math.inf
+        least = min(float(gaps.min()), o.moving_clearance)
+        grown = gaps.copy()
+        grown[:, standing:] -= around.growth * (times - times[0])[:, None]
+        clearance = np.full(gaps.shape[1], o.clearance)
+        clearance[standing:] = o.moving_clearance
+        nearest = obstacle(*divmod(int((grown - clearance).argmin()), gaps.shape[1]))
         is_near = _too_near(grown, o.least_clearance)
-        is_near_own = _too_near(own[:, None], o.own_clearance)[:, 0]
-        is_obstructed = is_near.any(axis=1) | is_near_own
-        k = int(is_obstructed.argmax())
-        if is_near[k].any():
-            found = obstacle(k, int(np.where(is_near[k], grown[k], np.inf).argmin()))
-        elif is_near_own[k]:
-            parts = self._gaps.nearest_own(placed, k)
-            found = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts)
-        obstructed_at = math.inf if found is None else float(times[k])
-        return PlanVerdict(found, obstructed_at, contact, float(least.min()), nearest)
+        if not is_near.any():
+            return PlanVerdict(None, math.inf, contact, least, nearest)
+        k = int(is_near.any(axis=1).argmax())
+        found = obstacle(k, int(np.where(is_near[k], grown[k], np.inf).argmin()))
+        return PlanVerdict(found, float(times[k]), contact, least, nearest)
 
     def _impossible(
         self, times: Array, z: Array, rates: Array, q: Array
