@@ -114,7 +114,8 @@ class MotionChooser:
             return whole
         nodes = motion.times[(motion.times >= earliest) & (motion.times < contact)]
         if self.attempts is not None and len(nodes) > self.attempts:
-            nodes = nodes[np.linspace(0, len(nodes) - 1, self.attempts).astype(int)]
+            # The last ones are too late for a braking.
+            nodes = nodes[np.linspace(0, len(nodes) - 1, self.attempts + 1)[:-1].astype(int)]
         # To brake earlier need not be safer if an obstacle comes from behind.
         for begin in nodes[::-1].tolist():
             shorter = self.brake(motion, begin)

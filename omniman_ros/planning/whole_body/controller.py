@@ -23,7 +23,7 @@ from omniman_ros.planning.whole_body.redundancy import COORDINATES, PATH_PARAMET
 PERIOD = 0.05  #: Time from cycle to cycle [s]; a plan begins one period after its cycle
 #: Number of brakings of a motion that are checked in search of its longest clear part: a check of
 #: the whole body takes milliseconds
-BRAKINGS = 4
+BRAKINGS = 2
 #: Distance of an obstacle from the platform's place within a horizon beyond which it is left out
 #: [m], besides the platform's own radius.
 OBSTACLE_CUTOFF = 1.6
