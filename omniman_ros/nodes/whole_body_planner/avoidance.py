@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState
-from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
@@ -28,6 +27,7 @@ PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
 BLOCKED = 1.0
 DELAY_DECAY = 0.9  #: Factor by which the delay of plans that is expected falls from cycle to cycle
 LONGEST_SENT = 2.0  #: Longest time for which a motion is sent ahead [s]
+SENT_STEP = 0.2  #: Step of that time: a message with another number of points is made anew [s]
 
 
 class AvoidanceInterface(BodyInterface["BodyTask"]):
@@ -48,6 +48,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self._nearest: Obstruction | None = None  # on the way of the last cycle
         self.cycle_time = math.nan
         self._delay = 0.0  # until a plan is used, by the last cycles [s]
+        self._sent_for = 0.0  # until the robot rests [s]
         self._held = 0.0  # time for which a limit has held the robot [s]
         self._no_path: NoPathError | None = None  # of the last search, until there is progress
         self._search: Future[None] | None = None
@@ -110,11 +111,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
 
         Who receives them follows the last ones to their end if this node falls silent.
         """
-        if not self.idle:
-            now, time_base = self._node.now(), self._motions.time_base
-            rest = self.core.time_to_rest(time_base.pace.motion(now), time_base.pace.rate(now))
-            horizon = max(horizon, min(rest + TICK, LONGEST_SENT))
-        super().publish(horizon, platform=platform)
+        super().publish(max(horizon, self._sent_for), platform=platform)
 
     @property
     def obstruction(self) -> Obstruction | None:
@@ -155,6 +152,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             return
         self.cycle_time = self._node.now() - begin
         self._delay = max(self.cycle_time, DELAY_DECAY * self._delay)
+        rest = min(self.core.time_to_rest(now, pace.rate(begin)), LONGEST_SENT)
+        self._sent_for = SENT_STEP * math.ceil(rest / SENT_STEP)
         self._found, self._nearest = outcome.obstruction, outcome.verdict.nearest
         if not self.core.task.has_end:
             self._moved_at = begin

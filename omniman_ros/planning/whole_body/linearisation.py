@@ -29,7 +29,7 @@ from omniman_ros.planning.whole_body.redundancy import (
 
 #: Largest changes of the redundancy coordinates in one step [m, m, rad, m]
 TRUST = np.array([0.12, 0.12, 0.2, 0.12])
-SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])  #: Weights of the slack, by its class
+SLACK_LINEAR: Array = np.array([2e3, 2e3, 2e1])  #: Weights of the slack, by its class
 SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])  #: Weights of the squares of the slack
 PROGRESS_WEIGHT = 8.0  #: Weight of the distance on the path from where the tool should be [1/m^2]
 NEAR = 0.1  #: Distance from there below which that weight grows [m]
@@ -70,8 +70,8 @@ class Linearisation:
         self._options = options
         self._speed, acceleration, self._least_margin, reserve = tool
         free = 1.0 - reserve
-        self._joint_speed: Array = free * limits.velocity[3:]
-        self._joint_acceleration: Array = free * limits.acceleration[3:]
+        self._joint_speed: Array = free * options.joint_effort * limits.velocity[3:]
+        self._joint_acceleration: Array = free * options.joint_effort * limits.acceleration[3:]
         self._wheels: Array = limits.wheels / (free * limits.wheel_speed)
         self._lower: Array = limits.lower[3:] + ANGLE_RESERVE
         self._upper: Array = limits.upper[3:] - ANGLE_RESERVE

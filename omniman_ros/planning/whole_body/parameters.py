@@ -62,6 +62,13 @@ class AvoidanceOptions(Validated):
     moving_clearance: float = parameter(
         0.1, "Gap that plans keep to what moves, before its growth.", unit="m", low=0.0, high=1.0
     )
+    joint_effort: float = parameter(
+        0.5,
+        "Fraction of the limits on speed and acceleration of joints that plans use where there is "
+        "room: a servo follows slow joints more exactly.",
+        low=0.1,
+        high=1.0,
+    )
     time_gap: float = parameter(
         0.35,
         "Time in which what moves covers the gap that plans keep to it besides: people turn.",
