@@ -341,7 +341,7 @@ def test_a_path_waits_before_a_post_without_losing_its_reference_and_goes_on():
         assert min(world.gaps) >= GAP
         assert world.speed() < 0.05
         assert interpolator.path.core.state is PathState.FOLLOWING
-        assert interpolator.context.time_base.pace.rate(world.time) < 0.3
+        assert interpolator.time_base.pace.rate(world.time) < 0.3
         errors = np.linalg.norm(world.core.tracking_error[:2])
         assert errors < 0.02
         world.posts[:, 0] = 9.0

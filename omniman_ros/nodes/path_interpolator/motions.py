@@ -101,7 +101,7 @@ class MotionCoordinator(ABC, Generic[Options]):
         )
         self.arm_previews = arm_previews(node, p.arm.joints, p.horizon)
         self._progress = node.create_publisher(Float64, "path_progress", 10)
-        self._limits = LimitInterface(node, p.collision_monitor, self.slow_down)
+        self.limits = LimitInterface(node, p.collision_monitor, self.slow_down)
         self._scales = LimitScales()
         on_health = node.guarded("wheel_health", self._on_health)
         node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
@@ -118,7 +118,7 @@ class MotionCoordinator(ABC, Generic[Options]):
 
     def configure_streams(self, new: StreamParameters) -> None:
         """Set the parameters that all motions share."""
-        self._limits.configure(new.collision_monitor)
+        self.limits.configure(new.collision_monitor)
         self.scaling.timeout = new.scaling_timeout
         self.stream_monitor.silence = new.restart
 
@@ -226,12 +226,12 @@ class MotionCoordinator(ABC, Generic[Options]):
 
     def _allowed_pace(self, motion_time: float) -> float:
         """Publish the demand from a motion time [s] on; return the highest pace in the limit."""
-        p, fractions = self.options, self._limits.fractions
+        p, fractions = self.options, self.limits.fractions
         is_limited = min(fractions) < 1.0
         if not (is_limited or p.collision_monitor.use):
             return 1.0
         heading, velocities = self._velocities(motion_time)
-        self._limits.publish_demand(p.arm.joints, heading, velocities)
+        self.limits.publish_demand(p.arm.joints, heading, velocities)
         if not is_limited:
             return 1.0
         bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
