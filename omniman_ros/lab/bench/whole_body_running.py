@@ -88,7 +88,9 @@ class Bench:
         begin, end = driven
         tool = judge.between(judge.tool_positions(rec, self._model), begin, end)
         result: dict[str, Any] = judge.tool_errors(tool, rec.references, self._curve(scene, axes))
-        result |= {"late_s": begin - rec.begin, "duration_s": end - begin}
+        result["duration_s"] = end - begin
+        if scene.things:
+            result["late_s"] = begin - rec.begin
         result["time_ratio"] = (end - begin) / scene.fixed.duration
         if rec.cycles:
             result["cycle"] = judge.cycle_figures(rec, begin, end)
