@@ -229,15 +229,16 @@ class Previews:
     ) -> None:
         self._node, self._make, self._fill = node, make, fill
         self.covered_until, self.publisher = float("inf"), publisher
-        self._message = make(int(horizon / TICK) + 1, TICK)
+        self._message, self._step = make(int(horizon / TICK) + 1, TICK), TICK
 
     def send(self, window: Window) -> None:
         """Publish a stretch of the stream, whose spacing may be longer than a tick."""
         message = self._message
         points = min(len(window.times), MAX_POINTS)
         step = float(window.times[1] - window.times[0])
-        if points != len(message.points) or not np.isclose(step, TICK, rtol=1e-3):
-            message = self._make(points, step)
+        if points != len(message.points) or not np.isclose(step, self._step, rtol=1e-3):
+            message, self._step = self._make(points, step), step
+            self._message = message
         self._fill(message, self._node.stamp(window.times[0]), window)
         self.publisher.publish(message)
         self.covered_until = float(window.times[points - 1])

@@ -3,11 +3,13 @@
 import signal
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 
 from omniman_ros.cli import motion
 from omniman_ros.cli.main import main
 from omniman_ros.nodes.motion_log import MotionEvent
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from test.cli.stepped_robot import SteppedRobot
 from test.nodes.test_path_interpolator_tool import ToolWorld
 
@@ -15,6 +17,8 @@ from test.nodes.test_path_interpolator_tool import ToolWorld
 @pytest.fixture(scope="module")
 def robot():
     with ToolWorld() as world:
+        states = world.publisher(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        states.publish(DiagnosticStatus(name="/platform_controller"))
         yield SteppedRobot(world)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.measurement import spread_ms
 from omniman_ros.lab.studies.avoidance_scenes import AvoidanceScene
-from omniman_ros.lab.studies.running_body import ENDS, Recording, thing_name
+from omniman_ros.lab.studies.running_body import ENDS, BodyRecording, thing_name
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.simulation.world.distances import ConfigurationDistances
 
@@ -21,7 +21,7 @@ REST_TIME = 0.3  #: Time for which the robot must be slow to be at rest [s]
 LEAST_GAP_OF_TIME = 0.012  #: Least time between poses whose difference gives a speed [s]
 
 
-def outcome(recording: Recording) -> dict[str, str]:
+def outcome(recording: BodyRecording) -> dict[str, str]:
     """Return what became of the path, by the keys of `motion_events` and `body/status`."""
     end = recording.event(*ENDS)
     statuses = [values for at, values in recording.statuses if end is None or at <= end[0]]
@@ -34,7 +34,7 @@ def outcome(recording: Recording) -> dict[str, str]:
     return {"outcome": result, **{key: cause.get(key, "") for key in keys}}
 
 
-def span(recording: Recording, limit: float) -> tuple[float, float] | None:
+def span(recording: BodyRecording, limit: float) -> tuple[float, float] | None:
     """Return the times at which the motion started and ended, if it did start [s]."""
     started, end = recording.event("started"), recording.event(*ENDS)
     if started is None:
@@ -42,7 +42,7 @@ def span(recording: Recording, limit: float) -> tuple[float, float] | None:
     return started[0], end[0] if end else started[0] + limit
 
 
-def tool_positions(recording: Recording, model: WholeBodyModel) -> Array:
+def tool_positions(recording: BodyRecording, model: WholeBodyModel) -> Array:
     """Return times and measured positions of the tool in odom (n, 4), by odom and joints."""
     odom, joints = np.array(recording.odom), np.array(recording.joints)
     times = odom[(odom[:, 0] >= joints[0, 0]) & (odom[:, 0] <= joints[-1, 0]), 0]
@@ -89,7 +89,7 @@ def tool_errors(tool: Array, references: Sequence[Array], curve: Array) -> dict[
     return result
 
 
-def largest_accelerations(recording: Recording) -> dict[str, float]:
+def largest_accelerations(recording: BodyRecording) -> dict[str, float]:
     """Return the largest accelerations in the references: of the tool and of any joint."""
     rows = _by_time(recording.references)
     kept = [0]
@@ -108,7 +108,7 @@ def largest_accelerations(recording: Recording) -> dict[str, float]:
 
 
 def gap_figures(
-    recording: Recording, scene: AvoidanceScene, judge: ConfigurationDistances, until: float
+    recording: BodyRecording, scene: AvoidanceScene, judge: ConfigurationDistances, until: float
 ) -> dict[str, Any]:
     """Return the least true distance of the robot from all things, and what touched it when."""
     truth, joints = np.array(recording.truth), np.array(recording.true_joints)
@@ -134,7 +134,7 @@ def gap_figures(
     }
 
 
-def cycle_figures(recording: Recording, begin: float, end: float) -> dict[str, float]:
+def cycle_figures(recording: BodyRecording, begin: float, end: float) -> dict[str, float]:
     """Return the CPU time of the planner's process between two messages on `body/status` [ms].
 
     That is a cycle with all that the process does meanwhile: corrections of the arm, searches.
@@ -143,7 +143,7 @@ def cycle_figures(recording: Recording, begin: float, end: float) -> dict[str, f
     return spread_ms(np.diff(rows[:, 1]).tolist())
 
 
-def rest_time(recording: Recording, since: float) -> float | None:
+def rest_time(recording: BodyRecording, since: float) -> float | None:
     """Return the time after an instant at which platform and arm are at rest, if they are [s]."""
     rests = []
     for rows, bound in zip((recording.truth, recording.true_joints), REST_SPEEDS, strict=True):
@@ -156,7 +156,7 @@ def rest_time(recording: Recording, since: float) -> float | None:
     return max(rests) - since
 
 
-def movement(recording: Recording, since: float) -> dict[str, float]:
+def movement(recording: BodyRecording, since: float) -> dict[str, float]:
     """Return how far platform [mm] and joints [mrad] have truly moved since an instant."""
     platform = between(np.array(recording.truth), since, np.inf)
     joints = between(np.array(recording.true_joints), since, np.inf)

@@ -37,7 +37,7 @@ AHEAD_GAP = 0.05  #: gap below which it waits [m]
 METHODS = {"dodging": "the body avoids", "waiting": "fixed posture that waits"}
 
 
-class Bench:
+class ExactBench:
     """Runs scenes.
 
     Args:
@@ -135,7 +135,7 @@ def summary(scenes: Sequence[Mapping[str, Any]], method: str) -> dict[str, Any]:
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench whole_body_obstacles`; return 0, the exit code of a measurement."""
     generator, scenes = SceneGenerator(args.robot), []
-    bench = Bench(generator.setup)
+    bench = ExactBench(generator.setup)
     for kind in KINDS:
         for seed, scene in generator.scenes(kind, 1 if args.quick else SCENES):
             say(f"{kind}, scene {seed} ...")

@@ -51,7 +51,7 @@ WATCHED = 5.0  #: Time for which a robot at rest is watched [s]
 CURVE_STEP = 0.002  #: Distance between positions on the tool's path [m]
 
 
-class Bench:
+class RunningBench:
     """Runs robots, each with nodes of its own."""
 
     def __init__(self, robot: str, folder: Path) -> None:
@@ -164,7 +164,7 @@ def run(args: argparse.Namespace) -> int:
     scenes, courses, lost = [], [], []
     length = QUICK_LENGTH if args.quick else LENGTH
     with tempfile.TemporaryDirectory() as folder:
-        bench = Bench(args.robot, Path(folder))
+        bench = RunningBench(args.robot, Path(folder))
         for name in ("straight",) if args.quick else COURSES:
             for driver in DRIVERS:
                 say(f"{name}, {driver} ...")

@@ -81,7 +81,7 @@ def thing_name(index: int) -> str:
 
 
 @dataclass
-class Recording:
+class BodyRecording:
     """What a robot reported; times are those of /clock [s]."""
 
     odom: list[Array] = field(default_factory=list)  #: time, pose (3,)
@@ -108,7 +108,7 @@ class RunningBody:
     def __init__(
         self, session: Session, children: ProcessGroup, joints: Sequence[str], avoids: bool
     ) -> None:
-        self.session, self.children, self.recording = session, children, Recording()
+        self.session, self.children, self.recording = session, children, BodyRecording()
         self.progress = 0.0
         self._joints, self._avoids = joints, avoids
         self._scene: AvoidanceScene | None = None

@@ -225,7 +225,9 @@ class ToolStream:
         sample: Callable[[Array], tuple[Array, Array, Array]],
         plan_times: Callable[[Array], Array],
     ) -> tuple[Window, Array]:
-        """Return all axes (k, 9) at times (k,) a tick apart [s], corrected, and the tool's pose.
+        """Return all axes (k, 9) at times (k,) [s], corrected, and the tool's pose.
+
+        The times are equally spaced by a tick or several.
 
         Args:
             sample: Returns x, x', x'' (k, 9) of the planned motion at motion times (k,) [s].
@@ -237,8 +239,9 @@ class ToolStream:
         Raises:
             InputError: The tool cannot be reached from the platform.
         """
-        # The times are padded by one tick on either side, for central differences.
-        padded = np.concatenate([times[:1] - TICK, times, times[-1:] + TICK])
+        # The times are padded by one on either side, for central differences.
+        step = _spacing(times)
+        padded = np.concatenate([times[:1] - step, times, times[-1:] + step])
         paced = pace.sample(padded)
         due = plan_times(paced.motion)
         planned = paced_window(pace, sample, padded)
@@ -269,7 +272,7 @@ class ToolStream:
         """Replace the arm's part of a planned motion by the corrected one.
 
         Args:
-            planned: All axes (k + 2, 9), from a tick before the result to a tick after it.
+            planned: All axes (k + 2, 9), from a point before the result to one after it.
             plan_times: (k + 2,) times of the plan [s].
             rate: Present pace, 0 to 1.
 
@@ -280,9 +283,16 @@ class ToolStream:
             planned.positions[:, PLATFORM_COLUMNS], planned.times
         )
         tool, near = self.plan.tool(plan_times), planned.positions[:, JOINT_COLUMNS]
-        arm = corrected_arm_motion(self._model, platform, tool, self.plan.branch, near, TICK)
+        arm = corrected_arm_motion(
+            self._model, platform, tool, self.plan.branch, near, _spacing(planned.times)
+        )
         self._joint_pace = joint_speed_pace(arm[1], self._velocity, rate)
         whole = (planned.positions, planned.velocities, planned.accelerations)
         parts = zip(whole, arm, strict=True)
         joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
         return Window(planned.times[1:-1], *joined)
+
+
+def _spacing(times: Array) -> float:
+    """Return the spacing of equally spaced times (k,), a multiple of a tick [s]."""
+    return max(round(float(times[1] - times[0]) / TICK), 1) * TICK

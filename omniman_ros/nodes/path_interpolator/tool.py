@@ -117,6 +117,7 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
 
     core: DrivenAxes
     under_way = "a motion of the whole body is under way; ~/cancel ends it"
+    spacing = 1  #: Ticks between two points of the stream of a led tool
 
     def __init__(
         self, motions: MotionCoordinator[StreamParameters], core: DrivenAxes, kind: MotionInput
@@ -206,7 +207,7 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
             super().publish(horizon)
             return
         time_base, core = self._motions.time_base, self.core
-        times = time_base.sample_times(horizon)
+        times = time_base.sample_times(horizon)[:: self.spacing]
         try:
             window, tool = self._tool.corrected(
                 times, time_base.pace, core.sample, core.plan_times

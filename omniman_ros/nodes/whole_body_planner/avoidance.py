@@ -35,6 +35,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
 
     _motions: MotionCoordinator[WholeBodyPlannerParameters]
     core: "AvoidanceMotion"  #: Motion that is driven
+    spacing = 2  # its motions are sent to their rest: twice as long as others
 
     def __init__(
         self,

@@ -67,6 +67,8 @@ class WholeBodyController:
         self._step, self._horizon = options.step, options.steps * options.step
         self.motion = _rest(0.0, np.zeros(COORDINATES))
         self._choice: MotionChoice | None = None
+        #: Times at which motions that brake begin to, by the times at which they end [s]
+        self._brakes_from: dict[float, float] = {}
 
     def begin(self, time: float, start: Array) -> None:
         """Begin at rest at a time [s] at redundancy coordinates (4,).
@@ -105,6 +107,8 @@ class WholeBodyController:
         due = max(now + PERIOD, ready)
         check = CycleCheck(self._check, due + self._horizon, around)
         last = self.motion = rest_of(self.motion, now)
+        known = self._brakes_from.get(last.end)
+        self._brakes_from = {} if known is None else {last.end: known}
         plans, fault = self._plans(due, way, around)
         chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS)
         self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
@@ -154,10 +158,13 @@ class WholeBodyController:
         return before is None or (before.is_clear and before.plan is not None)
 
     def braked(self, motion: HermiteTrajectory, time: float) -> HermiteTrajectory:
-        """Return a motion that from a time [s] on is slowed down to rest on its own way."""
+        """Return a motion that from a time [s] on is slowed down to rest on its own way.
+
+        One that brakes already is returned as it is: to brake it again would be harder.
+        """
         z, rates = motion.sample(time)
-        if time >= motion.end:
-            return motion  # all motions end at rest
+        if time >= min(self._brakes_from.get(motion.end, math.inf), motion.end):
+            return motion  # it brakes already, and all motions end at rest
         if not np.abs(rates).max() > 0.0:
             return motion.between(motion.start, max(time, motion.start + PERIOD))
         at = self._redundancy.configurations(z[None])
@@ -175,6 +182,7 @@ class WholeBodyController:
             velocities=pace * inner_rates,
             currents=np.zeros((count, 0)),
         )
+        self._brakes_from[tail.end] = time
         if time <= motion.start + 1e-6:
             return tail
         return motion.between(motion.start, time).then(tail)

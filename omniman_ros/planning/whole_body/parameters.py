@@ -63,7 +63,7 @@ class AvoidanceOptions(Validated):
         0.1, "Gap that plans keep to what moves, before its growth.", unit="m", low=0.0, high=1.0
     )
     joint_effort: float = parameter(
-        0.5,
+        0.35,
         "Fraction of the limits on speed and acceleration of joints that plans use where there is "
         "room: a servo follows slow joints more exactly.",
         low=0.1,

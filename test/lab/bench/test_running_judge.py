@@ -7,7 +7,7 @@ from omniman_ros.lab.bench import running_judge as judge
 from omniman_ros.lab.bench import whole_body_running
 from omniman_ros.lab.bench.harness import aims
 from omniman_ros.lab.studies.avoidance_scenes import PERSON, POST, START, TABLE, AvoidanceScene
-from omniman_ros.lab.studies.running_body import Recording, world_elements
+from omniman_ros.lab.studies.running_body import BodyRecording, world_elements
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.world.distances import ConfigurationDistances
@@ -32,7 +32,7 @@ FIXED = TimedCurve(np.array([0.0, 1.0]), np.array([START, START]), *np.zeros((2,
 def at_rest(pose, duration=1.0):
     """Return a recording of a robot that stands."""
     times = np.arange(0.0, duration, 0.01)
-    return Recording(
+    return BodyRecording(
         truth=[np.array([t, *pose, 0.0]) for t in times],
         true_joints=[np.array([t, *START[3:], 0.0]) for t in times],
     )
@@ -66,7 +66,7 @@ def test_the_distance_from_a_polyline_is_that_from_its_segments():
     ],
 )
 def test_the_outcome_is_the_last_event_or_what_the_robot_waits_for(events, waits, expected):
-    recording = Recording(
+    recording = BodyRecording(
         events=[(float(k), name, "") for k, name in enumerate(events)],
         statuses=[(0.5, {"waits": waits, "obstruction": "moving obstacle"})],
     )

@@ -84,3 +84,7 @@ def test_braking_follows_the_same_way_to_rest_within_the_limits(task):
     assert rates[-1] == pytest.approx(np.zeros(4), abs=1e-9)
     slowing = np.abs(np.diff(rates, axis=0) / np.diff(times)[:, None]).max(axis=0)
     assert (slowing[:3] <= SETUP.limits.acceleration[:3]).all()
+    again = task.controller.braked(braked.between(0.1, braked.end), 0.55)
+    assert again.at(times[100:])[0] == pytest.approx(z[100:], abs=1e-9), "it brakes already"
+    earlier = task.controller.braked(braked, 0.3)
+    assert earlier.end < braked.end

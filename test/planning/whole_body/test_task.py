@@ -122,7 +122,7 @@ def test_what_appears_in_the_way_stops_the_robot_before_contact():
     x, y = model.forward(START)[:2, 3].tolist()
     late = posts((x + 0.5, y))  # on the path of the tool
     _, axes, outcomes, end = drive(
-        task, lambda now: late if now > 1.5 else ObstacleSnapshot(), 5.0
+        task, lambda now: late if now > 1.5 else ObstacleSnapshot(), 8.0
     )
     assert not task.is_completed(end)
     assert np.abs(np.diff(axes[-3:], axis=0)).max() < 1e-3
