@@ -70,7 +70,7 @@ class AvoidanceOptions(Validated):
         high=1.0,
     )
     time_gap: float = parameter(
-        0.35,
+        0.2,
         "Time in which what moves covers the gap that plans keep to it besides: people turn.",
         unit="s",
         low=0.0,
