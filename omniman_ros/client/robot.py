@@ -103,6 +103,11 @@ class Robot:
         """Stop what this object moves, as the class describes, and leave the robot."""
         self._finalizer()
 
+    @property
+    def is_open(self) -> bool:
+        """Whether this object may be used: it is not closed, nor being closed."""
+        return self._finalizer.alive
+
     def wait_until_ready(
         self, timeout: float = READY_TIMEOUT, needs: Sequence[str] = USUAL_ABILITIES
     ) -> None:

@@ -147,6 +147,8 @@ class DemoDriver:
             raise self._end
         try:
             self._poll()
+            if not self.robot.is_open:
+                return  # the demo has ended, and waits until the robot stands
             stopped = self.robot.stop_reason
             if stopped.is_known and stopped.value and not self.expects_stop:
                 text = f"the robot stopped: {stopped.value}{recording.stall_note}"

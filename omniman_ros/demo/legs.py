@@ -48,7 +48,7 @@ WAVES = 2.0  #: Number of waves of its height
 
 #: Pose of the goal, beyond the obstacles, in the robot's frame at the start [m, m, rad]
 GOAL = (3.2, 0.3, 1.5707963)
-GOAL_TIMEOUT = 30.0  #: Time within which the goal must be reached [s]
+GOAL_TIMEOUT = 60.0  #: Time within which the goal must be reached [s]: persons hold the robot up
 NOTICE_TIME = 0.5  #: Time before the goal in which the robot hears of the obstacles [s]
 
 EDGE = 0.5  #: Length of each of the two straights that are driven with a dead wheel [m]

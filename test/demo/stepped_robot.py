@@ -115,6 +115,8 @@ class SteppedRobot:
     def active_source(self):
         return Reading("active_source", 0.0, "path" if self._motion else "none")
 
+    is_open = True
+
     @property
     def stop_reason(self):
         return Reading("stop", 0.0, "platform_controller stopped: x" if self.stopped else "")

@@ -130,6 +130,12 @@ def test_a_stopped_robot_ends_the_demo_with_the_reason(monkeypatch):
         drive_leg(monkeypatch, robot, "twists")
 
 
+def test_a_robot_that_is_being_closed_is_not_asked_for_its_state(monkeypatch):
+    robot = SteppedRobot()
+    robot.stopped, robot.is_open = True, False
+    stepped_driver(monkeypatch, robot).pause(0.1)
+
+
 def test_a_platform_that_is_still_driven_is_not_at_rest(monkeypatch):
     robot = SteppedRobot("progress")
     driver = stepped_driver(monkeypatch, robot)
