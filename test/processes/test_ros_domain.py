@@ -1,4 +1,8 @@
 import socket
+import subprocess
+import sys
+import tempfile
+import time
 
 import pytest
 
@@ -6,6 +10,7 @@ from omniman_ros.processes import ros_domain
 from omniman_ros.processes.ros_domain import (
     HIGH_DOMAINS,
     LOW_DOMAINS,
+    RESERVATION,
     free_domain,
     is_free,
     isolate_ros_domain,
@@ -21,7 +26,7 @@ def test_isolation_chooses_a_domain_and_restricts_discovery_to_this_machine():
         "ROS_DOMAIN_ID": str(domain),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
-    assert domain in HIGH_DOMAINS
+    assert domain in (*HIGH_DOMAINS, *LOW_DOMAINS)
 
 
 def test_isolation_keeps_what_the_user_has_set():
@@ -35,14 +40,39 @@ def test_a_domain_in_use_is_not_free():
     domain = free_domain()
     assert is_free(domain)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("", 7400 + 250 * domain + 10))
+        participant.bind(("", 7400 + 250 * domain + 14))  # the third: the first two have ended
         assert not is_free(domain)
 
 
-def test_low_domains_are_used_when_all_high_ones_are_taken(monkeypatch):
-    monkeypatch.setattr(ros_domain, "LOW_DOMAINS", range(41, 44))
-    monkeypatch.setattr(ros_domain, "is_free", lambda domain: domain == 42)
-    assert free_domain() == 42
+CHOOSE = "from omniman_ros.processes.ros_domain import free_domain; print(free_domain())"
+
+
+def test_processes_that_choose_at_the_same_time_get_different_domains(monkeypatch, tmp_path):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    command = [sys.executable, "-c", CHOOSE]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE) for _ in range(8)]
+    domains = [int(process.communicate()[0]) for process in processes]
+    assert len(set(domains)) == len(domains) and set(domains) <= set(HIGH_DOMAINS)
+
+
+def test_a_domain_that_was_chosen_is_chosen_again_when_its_processes_had_time(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(ros_domain, "HIGH_DOMAINS", range(215, 216))
+    monkeypatch.setattr(ros_domain, "is_free", lambda domain: True)
+    now = 1e9
+    monkeypatch.setattr(time, "time", lambda: now)
+    assert free_domain() == 215 != free_domain()
+    now += RESERVATION + 1.0
+    assert free_domain() == 215
+
+
+def test_low_domains_are_used_when_all_high_ones_are_taken(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(ros_domain, "LOW_DOMAINS", range(21, 24))
+    monkeypatch.setattr(ros_domain, "is_free", lambda domain: domain == 22)
+    assert free_domain() == 22
     monkeypatch.setattr(ros_domain, "is_free", lambda domain: False)
     assert free_domain() in (*HIGH_DOMAINS, *LOW_DOMAINS)
 
