@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from omniman_ros.processes import ros_domain
 from omniman_ros.processes.ros_domain import free_domain
 from test import shared_memory
 
@@ -44,11 +43,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 NICENESS = 5  #: Niceness of all workers but the first, which begins with what runs on real time
 
-# Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-ros_domain.HIGH_DOMAINS = ros_domain.HIGH_DOMAINS[WORKER::WORKERS]
-ros_domain.LOW_DOMAINS = range(1, 40)[WORKER::WORKERS]
 
 
 def pytest_sessionstart():
