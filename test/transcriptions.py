@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from omniman_ros.nodes.planner_interfaces import compiled_functions
 from omniman_ros.planning import plan_optimizer
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import Transcription
@@ -19,11 +20,14 @@ def fraction(patch: pytest.MonkeyPatch) -> None:
     """
     built: dict[tuple[Any, ...], Transcription] = {}
 
-    def transcription(model: PlanningModel, steps: int, step: float, slots: int) -> Transcription:
+    def transcription(
+        model: PlanningModel, steps: int, step: float, slots: int, confined: bool
+    ) -> Transcription:
         values = (np.asarray(getattr(model, field.name)).tobytes() for field in fields(model))
-        key = (*values, steps, step, slots)
+        key = (*values, steps, step, slots, confined)
         if key not in built:
-            built[key] = Transcription(model, steps, step, slots)
+            built[key] = Transcription(model, steps, step, slots, confined)
         return built[key]
 
     patch.setattr(plan_optimizer, "Transcription", transcription)
+    patch.setattr(compiled_functions, "COMPILER", "no_compiler_in_tests")

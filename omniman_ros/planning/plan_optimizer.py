@@ -1,6 +1,7 @@
 """Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -35,18 +36,30 @@ NEAREST_OBSTACLES = 24  #: Number of obstacles, the nearest ones, by which direc
 
 
 class SolverPool:
-    """Solvers for different numbers of obstacles, as empty slots cost computing time, too."""
+    """Solvers with and without obstacles, walls and a border: empty rows cost time, too."""
 
     def __init__(self, model: PlanningModel, horizon: Horizon) -> None:
         self._slots = horizon.slots
         self._solvers = {
-            count: Solver(Transcription(model, horizon.steps, horizon.step, count))
-            for count in sorted({0, horizon.slots, horizon.slots + WALL_SLOTS})
+            (count, confined): Solver(
+                Transcription(model, horizon.steps, horizon.step, count, confined)
+            )
+            for count in {0, horizon.slots, horizon.slots + WALL_SLOTS}
+            for confined in (False, True)
         }
 
-    def select(self, obstacles: bool, walls: bool) -> Solver:
-        """Return the smallest solver with room for obstacles, for walls, or for neither."""
-        return self._solvers[max(self._solvers) if walls else self._slots if obstacles else 0]
+    @property
+    def all(self) -> Collection[Solver]:
+        """All solvers, those without a border first."""
+        return [self._solvers[key] for key in sorted(self._solvers, key=lambda key: key[::-1])]
+
+    def select(self, obstacles: bool, walls: bool, confined: bool) -> Solver:
+        """Return the smallest solver with room for obstacles, for walls, or for neither.
+
+        One that is not confined has no rows of the workspace.
+        """
+        slots = self._slots + WALL_SLOTS if walls else self._slots if obstacles else 0
+        return self._solvers[slots, confined]
 
 
 @dataclass(frozen=True)
@@ -64,12 +77,16 @@ class PlanRequest(Validated):
 
 
 class PlanOptimizer:
-    """Solves planning problems, each with a warm start from the plan before."""
+    """Solves planning problems, each with a warm start from the plan before.
+
+    Attributes:
+        solvers: Solvers of the present model.
+    """
 
     def __init__(
         self, model: PlanningModel, limits: EffectiveLimits, solvers: SolverPool | None = None
     ) -> None:
-        self._solvers = solvers or SolverPool(model, limits.parameters.horizon)
+        self.solvers = solvers or SolverPool(model, limits.parameters.horizon)
         self._problem = Problem(model, limits)
         self._evasions = EvasionGuesses()
         self._warm_start: tuple[float, Array] | None = None
@@ -78,7 +95,7 @@ class PlanOptimizer:
     def configure(self, model: PlanningModel, limits: EffectiveLimits) -> None:
         """Use other limits; another model discards the warm start."""
         if model is not self._problem.model:
-            self._solvers = SolverPool(model, limits.parameters.horizon)
+            self.solvers = SolverPool(model, limits.parameters.horizon)
             self._problem = Problem(model, limits)
             self.discard_warm_start()
         self._problem.limits = limits
@@ -112,7 +129,8 @@ class PlanOptimizer:
         start, due = request.start, request.due
         walls = self._walls_near(request)
         obstacles = request.obstacles
-        solver = self._solvers.select(len(obstacles) > 0, len(walls) > 0)
+        confined = self._problem.is_confined(start, request.footprint, request.clearance)
+        solver = self.solvers.select(len(obstacles) > 0, len(walls) > 0, confined)
         if len(walls):
             obstacles = obstacles.joined(walls.ellipses(obstacles.time))
         pairs = Pairs.of(request.footprint, obstacles)
@@ -143,8 +161,10 @@ class PlanOptimizer:
         """Improve a guess (N, n) [A] by solver iterations."""
         start, step = request.start, self._problem.limits.parameters.horizon.step
         motion = HermiteTrajectory.of_states(request.due, step, solver.states(start, guess), guess)
-        slots = solver.transcription.slots
-        stage = self._problem.stage(start, motion, request.goal, pairs, slots, request.clearance)
+        t = solver.transcription
+        stage = self._problem.stage(
+            start, motion, request.goal, pairs, t.slots, request.clearance, t.confined
+        )
         return solver.solve(start, guess, stage, iterations)
 
     def _walls_near(self, request: PlanRequest) -> Walls:

@@ -70,6 +70,11 @@ class Planner:
         return self.limits.parameters
 
     @property
+    def solvers(self) -> SolverPool:
+        """Solvers of the present model."""
+        return self._optimizer.solvers
+
+    @property
     def state(self) -> PlannerState:
         """State of the planner."""
         return self._tracker.state

@@ -7,7 +7,9 @@ correspond to the voltages v = R i + N K phi', which follow the back-EMF within 
 voltages would make the system stiff for strong motors (the time constant of `omniman` is 32 ms).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import casadi as ca
@@ -95,16 +97,53 @@ class PlanningModel(Validated):
         result: Array = self.resistance * currents + self.emf * (twists @ self.J.T)
         return result
 
+    @property
+    def is_voltage_limited(self) -> bool:
+        """Whether the largest current may need more than the largest voltage at some speed.
+
+        A tenth more than the largest speed counts as possible.
+        """
+        emf = self.emf * 1.1 * self.max_speed
+        return self.resistance * float(self.max_current.max()) + emf > self.max_voltage
+
+    @cached_property
+    def drive(self) -> Array:
+        """(3, n) accelerations of the robot by each motor's current [m/s^2/A, rad/s^2/A]."""
+        result: Array = np.linalg.inv(self.inertia) @ (self.efficiency * self.emf * self.J.T)
+        return result
+
     def twist_rate(self, twist: ca.SX, currents: ca.SX) -> ca.SX:
         """Return the derivative (3,) of the body twist at currents (n,): (13) in base_link."""
-        axle = self.efficiency * self.emf * currents - self.viscous * (ca.DM(self.J) @ twist)
-        force = ca.DM(self.J.T) @ axle
+        return ca.DM(self.drive) @ currents + self._free_rate(twist)
+
+    @cached_property
+    def free_rate(self) -> ca.Function:
+        """Derivative (3,) of a twist without currents, and its Jacobian (3, 3) by the twist."""
+        twist = ca.SX.sym("twist", 3)
+        speeds, strength, width = self.dry_speeds(twist)
+        root = ca.sqrt(speeds**2 + width**2)
+        slope = ca.DM(strength * width) / (root * (width + root))
+        each = np.vstack([self.J, self.rolling])
+        friction = weighted_sum([np.outer(row, row) for row in each], slope)
+        friction += ca.DM(self.J.T @ (self.viscous[:, None] * self.J))
+        frame_rate, centripetal = self._turning(twist)
+        turning = ca.jacobian(frame_rate + centripetal, twist)
+        slopes = ca.DM(np.linalg.inv(self.inertia)) @ -(friction + turning)
+        outputs = ca.cse([self._free_rate(twist), ca.densify(slopes)])
+        return ca.Function("free_rate", [twist], outputs)
+
+    def _free_rate(self, twist: ca.SX) -> ca.SX:
+        force = ca.DM(self.J.T) @ (-self.viscous * (ca.DM(self.J) @ twist))
         speeds, strength, width = self.dry_speeds(twist)
         friction = strength * speeds / (width + ca.sqrt(speeds**2 + width**2))
         force -= ca.DM(np.vstack([self.J, self.rolling]).T) @ friction
+        frame, centripetal = self._turning(twist)
+        return ca.DM(np.linalg.inv(self.inertia)) @ (force - frame - centripetal)
+
+    def _turning(self, twist: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the forces of inertia (3,) of the frame that turns: Coriolis, centripetal."""
         frame_rate = ca.vertcat(-twist[2] * twist[1], twist[2] * twist[0], 0)
-        force -= ca.DM(self.mass) @ frame_rate - twist[2] ** 2 * ca.DM(self.moment)
-        return ca.DM(np.linalg.inv(self.inertia)) @ force
+        return ca.DM(self.mass) @ frame_rate, -(twist[2] ** 2) * ca.DM(self.moment)
 
     def dry_speeds(self, twist: ca.SX) -> tuple[ca.SX, Array, Array]:
         """Return the speeds (2n,) with dry friction, its strength, and the width of its rise.
@@ -134,3 +173,28 @@ class PlanningModel(Validated):
         """Return the kinetic energy [J] of body twists (..., 3), wheels included, (4)."""
         result: Array = 0.5 * np.einsum("...i,ij,...j->...", twist, self.inertia, twist)
         return result
+
+
+def weighted_sum(matrices: Sequence[Array], weights: ca.SX) -> ca.SX:
+    """Return the sum of constant symmetric matrices, each times its weight.
+
+    Each pair of entries that mirror each other is computed once.
+    """
+    size = len(matrices[0])
+    upper = np.triu_indices(size)
+    entries = ca.DM(np.array([matrix[upper] for matrix in matrices]).T) @ weights
+    result = ca.SX(size, size)
+    for k, (i, j) in enumerate(zip(*upper, strict=True)):
+        result[int(i), int(j)] = result[int(j), int(i)] = entries[k]
+    return result
+
+
+def congruence(matrix: ca.SX, slope: ca.SX) -> ca.SX:
+    """Return slope' matrix slope for a symmetric matrix, each mirrored pair computed once."""
+    product = matrix @ slope
+    columns = slope.size2()
+    result = ca.SX(columns, columns)
+    for i in range(columns):
+        for j in range(i, columns):
+            result[i, j] = result[j, i] = ca.dot(slope[:, i], product[:, j])
+    return result

@@ -5,16 +5,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PlanTarget
 from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.mpc.gap_rows import OBSTACLE
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.mpc.transcription import EXTREMES, OBSTACLE, SIDES, Stage
-from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
+from omniman_ros.planning.mpc.transcription import EXTREMES, SIDES, Stage
+from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
-from omniman_ros.planning.obstacles.separation import box_gap, within_distance
+from omniman_ros.planning.obstacles.separation import box_gap, facing_gap, within_distance
 
 FAR_AWAY = 1e3  #: Coordinates of the obstacle in an empty slot [m]
 #: Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is
@@ -26,6 +28,8 @@ STANDING_SPEED = 0.05  #: Speed below which an obstacle counts as being at rest 
 CAUTIOUS_SPEED = 0.2  #: Speed that is always allowed, however close a moving obstacle is [m/s]
 #: Number of obstacles, the nearest by their centres, whose gaps are computed at each step
 DETAILED_OBSTACLES = 48
+#: Ratio of the robot's speed to its limit that no plan exceeds [-]
+SPEED_EXCESS = 1.1
 VOLTAGE_HEADROOM = 0.02  #: Part by which the voltage limit exceeds the back-EMF of the start [-]
 
 
@@ -36,6 +40,22 @@ class Problem:
         self.model = model
         self.limits = limits
 
+    def is_confined(
+        self, start: Array, footprint: Footprint, clearance: float | None = None
+    ) -> bool:
+        """Return whether the robot can reach the border of its workspace within the horizon.
+
+        Arguments are those of :meth:`stage`.
+        """
+        p = self.limits.parameters
+        gap = p.safety.clearance if clearance is None else clearance
+        # Never faster than now, or than the limit: see `_limits`.
+        fastest = max(p.limits.linear_velocity, math.hypot(start[3], start[4])) * SPEED_EXCESS
+        reach = footprint.radius + gap + fastest * p.horizon.duration
+        x_min, y_min, x_max, y_max = p.workspace.bounds
+        x, y = float(start[0]), float(start[1])
+        return min(x - x_min, x_max - x, y - y_min, y_max - y) <= reach
+
     def stage(
         self,
         start: Array,
@@ -44,12 +64,13 @@ class Problem:
         pairs: Pairs,
         slots: int,
         clearance: float | None = None,
+        confined: bool = True,
     ) -> Stage:
         """Return the parameters of one problem.
 
         The plan begins at `start` (6,), pose in odom and body twist, the first node of the guess
         of N + 1 nodes around which gaps are linearised. The clearance [m] is that of the
-        parameters if None.
+        parameters if None. A problem that is not confined has no rows of the workspace.
         """
         p = self.limits.parameters
         times = guess.times[1:]
@@ -58,7 +79,9 @@ class Problem:
         direction = math.atan2(ahead[1], ahead[0])
         gap = p.safety.clearance if clearance is None else clearance
         x_min, y_min, x_max, y_max = p.workspace.bounds
-        return Stage(
+        outline = pairs.footprint.whole
+        extremes = farthest_points(guess.poses[1:, 2], outline) if confined else None
+        return Stage.unchecked(
             limits=self._limits(start, direction, self._caution(guess, pairs)),
             workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
             target=targets,
@@ -66,7 +89,7 @@ class Problem:
             energy=p.weights.energy,
             slack=(SLACK_FACTOR * gradient, SLACK_FACTOR * gradient / 0.1),
             obstacles=self._obstacles(guess, pairs, slots, gap),
-            extremes=farthest_points(guess.poses[1:, 2], pairs.footprint.whole),
+            extremes=np.empty((len(times), 0, 2)) if extremes is None else extremes,
             direction=direction,
         )
 
@@ -115,61 +138,54 @@ class Problem:
         """Return the limits (N, 6); a speed above its limit may be reduced gradually."""
         p, model, twist = self.limits.parameters, self.model, start[3:]
         linear, angular = self.limits.speeds
-        wheels = float(np.abs(model.J @ twist).max())
-        # Factor from this speed to its measure in the polygon that replaces the limit's circle.
-        along = math.atan2(twist[1], twist[0]) + start[2] - direction
-        normals = (np.arange(SIDES) + 0.5) * (2.0 * math.pi / SIDES)
-        fraction = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
-        linear_now = math.hypot(twist[0], twist[1]) * fraction
-        now = np.array([linear_now, abs(twist[2]), wheels])
-        steps = len(caution)
-        largest = np.tile([linear, angular, model.max_speed], (steps, 1))
-        largest[:, 0] = np.minimum(largest[:, 0], caution)
         a, b = self.limits.accelerations
+        wheels = float(np.abs(model.J @ twist).max())
+        # Factor from this speed to its measure in the polygon that replaces the limit's circle:
+        # by the angle from the middle of the nearest side.
+        vx, vy, yaw_rate = twist.tolist()
+        side = math.tau / SIDES
+        along = math.atan2(vy, vx) + float(start[2]) - direction
+        fraction = math.cos((along / side % 1.0 - 0.5) * side) / math.cos(0.5 * side)
+        now = np.array([math.hypot(vx, vy) * fraction, abs(yaw_rate), wheels])
         rates = 0.5 * np.array([a, b, a / model.half.min()])
-        elapsed = p.horizon.step * np.arange(1, steps + 1)[:, None]
+        elapsed = p.horizon.step * np.arange(1, len(caution) + 1)[:, None]
+        result = np.empty((len(caution), 6))
+        result[:, 0], result[:, 1] = np.minimum(linear, caution), angular
+        result[:, 2], result[:, 4], result[:, 5] = model.max_speed, a, b
         # There is no headroom here: over the cycles it would add up to ever higher speeds.
-        limits = np.maximum(largest, now - rates * elapsed)
-        volts = max(model.max_voltage, model.emf * wheels * (1.0 + VOLTAGE_HEADROOM))
-        return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
+        result[:, :3] = np.maximum(result[:, :3], now - rates * elapsed)
+        result[:, 3] = max(model.max_voltage, model.emf * wheels * (1.0 + VOLTAGE_HEADROOM))
+        return result
 
     def _obstacles(
         self, guess: HermiteTrajectory, pairs: Pairs, slots: int, clearance: float
     ) -> Array:
-        """Return the nearest pairs (N, M, 13) along a guess, the obstacles with their margins."""
+        """Return the nearest pairs (N, M, 15) along a guess, the obstacles with their margins."""
         times = guess.times[1:]
         table = np.zeros((len(times), slots, OBSTACLE))
         table[..., :2] = FAR_AWAY
-        table[..., 2], table[..., 5], table[..., 6] = 1.0, 1.0, 1.0
-        table[..., 9], table[..., 11:] = 1.0, self.model.half
+        table[..., 2], table[..., 4:6] = 1.0, 1.0
+        table[..., 10], table[..., 12:14] = 1.0, self.model.half
         if not slots or not len(pairs):
             return table
-        reachable = self._reachable(guess, pairs)
-        if not reachable.any():
-            return table
-        chosen_pairs = pairs.select(reachable)
-        near, boxes = chosen_pairs.ellipses, chosen_pairs.boxes
+        if len(pairs) > slots:
+            pairs = pairs.select(self._reachable(guess, pairs))
+        near, boxes = pairs.ellipses, pairs.boxes
         centers, axes = near.centers_at(times), near.axes_at(times, clearance + self._berth(near))
-        angles = np.broadcast_to(near.angles, centers.shape[:2])
-        velocities = np.broadcast_to(near.velocities, centers.shape)
+        angles, velocities = near.angles, near.velocities
         if len(near) > slots:
-            chosen = self._beside(guess.poses[1:], chosen_pairs, centers, axes, slots)
-            centers, axes, velocities = (
-                np.take_along_axis(values, chosen[..., None], axis=1)
-                for values in (centers, axes, velocities)
+            chosen = self._beside(guess.poses[1:], pairs, centers, axes, slots)
+            centers, axes = (
+                np.take_along_axis(values, chosen[..., None], axis=1) for values in (centers, axes)
             )
-            angles = np.take_along_axis(angles, chosen, axis=1)
-            boxes = boxes.select(chosen)
-        axes = inflated(axes, self._sag(guess, boxes.radius, velocities, axes))
-        cos, sin = np.cos(angles), np.sin(angles)
+            angles, velocities, boxes = angles[chosen], velocities[chosen], boxes.select(chosen)
         m = centers.shape[1]
         table[:, :m, :2] = centers
-        table[:, :m, 2], table[:, :m, 3] = cos / axes[..., 0], sin / axes[..., 0]
-        table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
-        table[:, :m, 6] = axes.min(axis=-1)
-        table[:, :m, 7:9] = boxes.centre
-        table[:, :m, 9], table[:, :m, 10] = np.cos(boxes.yaw), np.sin(boxes.yaw)
-        table[:, :m, 11:] = boxes.half
+        table[:, :m, 2], table[:, :m, 3] = np.cos(angles), np.sin(angles)
+        table[:, :m, 4:6], table[:, :m, 6:8] = axes, velocities
+        table[:, :m, 8:10] = boxes.centre
+        table[:, :m, 10], table[:, :m, 11] = np.cos(boxes.yaw), np.sin(boxes.yaw)
+        table[:, :m, 12:14], table[:, :m, 14] = boxes.half, boxes.radius
         return table
 
     def _caution(self, guess: HermiteTrajectory, pairs: Pairs) -> Array:
@@ -180,16 +196,15 @@ class Problem:
         accelerates away at a. The gap must suffice until both have the same velocity:
         c t + c^2 / (2 a) + u (t + c / a) + u^2 / (2 a) = gap.
         """
-        result = np.full(len(guess.times) - 1, math.inf)
-        known = pairs.ellipses
+        steps, known = len(guess.times) - 1, pairs.ellipses
         speeds = np.hypot(known.velocities[:, 0], known.velocities[:, 1])
         moving = speeds > STANDING_SPEED
         if not moving.any():
-            return result
+            return np.full(steps, math.inf)
         near, boxes, u = known.select(moving), pairs.boxes.select(moving), speeds[moving]
         times, poses, velocities = guess.times[1:], guess.poses[1:], guess.velocities[1:]
         centers = near.centers_at(times)
-        gaps = box_gap(poses, boxes, centers, near.axes_at(times), near.angles)
+        gaps = facing_gap(poses, boxes, centers, near.axes_at(times), near.angles)
         offset = centers - poses[:, None, :2]
         distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), 1e-6)
         closing = (offset * velocities[:, None, :2]).sum(axis=-1) / distance
@@ -200,7 +215,7 @@ class Problem:
         speed = np.hypot(velocities[:, 0], velocities[:, 1])[:, None]
         slower = speed * allowed / np.maximum(closing, STANDING_SPEED)
         slower[closing <= STANDING_SPEED] = math.inf
-        result[:] = np.maximum(slower.min(axis=1), CAUTIOUS_SPEED)
+        result: Array = np.maximum(slower.min(axis=1), CAUTIOUS_SPEED)
         return result
 
     def _berth(self, ellipses: Ellipses) -> Array:
@@ -260,25 +275,6 @@ class Problem:
             pairs.ellipses,
             p.safety.clearance,
         )
-
-    def _sag(
-        self, guess: HermiteTrajectory, radius: Array, velocities: Array, axes: Array
-    ) -> Array:
-        """Return the depth (N, M) [m] to which the robot could enter an obstacle between nodes.
-
-        The points of the robot are within `radius` [m], one for all or (N, M), of base_link.
-
-        The smallest distance of a chord of length L from the centre of its circle of radius r is
-        sqrt(r^2 - L^2 / 4). On the circle of radius sqrt(c^2 + L^2 / 4) this is c, the smallest
-        radius of curvature of the ellipse: the difference of these two radii is added.
-        """
-        span = np.diff(guess.times)[:, None]
-        relative = guess.velocities[1:, None, :2] - velocities
-        corner_speed = radius * np.abs(guess.velocities[1:, 2:])
-        travel = span * (np.hypot(relative[..., 0], relative[..., 1]) + corner_speed)
-        bend = axes.min(axis=-1) ** 2 / axes.max(axis=-1)
-        result: Array = np.sqrt(bend**2 + 0.25 * travel**2) - bend
-        return result
 
 
 def farthest_points(headings: Array, outline: Rectangles) -> Array:

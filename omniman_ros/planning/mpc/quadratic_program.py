@@ -1,6 +1,5 @@
 """Quadratic programs with the structure of an optimal control problem, solved by HPIPM."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import casadi as ca
@@ -8,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
+from omniman_ros.planning.mpc.in_place import InPlaceFunction
 
 TOLERANCES: dict[str, float] = {
     "res_g_max": 1e-3,
@@ -23,7 +23,7 @@ MODES: dict[str, dict[str, Any]] = {
 INFINITY = 1e4
 
 
-#: Names of the parts of a program, in the order of casadi
+#: Names of the parts of a program, in the order of casadi, which has others after them
 ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 
 
@@ -37,6 +37,10 @@ class QuadraticProgram:
     H and A are given by their structures; `sizes` are the numbers of stages, states, controls and
     rows of each stage, for HPIPM.
 
+    Attributes:
+        entries: Arrays of the entries of H (column by column), g, A, low, high, lower and upper,
+            to be written before :meth:`solve`.
+
     Raises:
         SolverError: casadi has no HPIPM.
     """
@@ -49,7 +53,7 @@ class QuadraticProgram:
             "print_time": False,
         }
         try:
-            self._modes = [
+            modes = [
                 ca.conic(
                     mode, "hpipm", {"h": h, "a": a}, more | {"hpipm": {**TOLERANCES, **options}}
                 )
@@ -57,7 +61,8 @@ class QuadraticProgram:
             ]
         except RuntimeError as error:
             raise SolverError(f"casadi has no QP solver 'hpipm': {error}") from error
-        self._memory = [_Memory(mode) for mode in self._modes]
+        self._solvers = [InPlaceFunction(mode) for mode in modes]
+        self.entries = tuple(self._solvers[0].arguments[: len(ARGUMENTS)])
 
     @staticmethod
     def of_masks(h: Array, a: Array, sizes: dict[str, Any]) -> "QuadraticProgram":
@@ -75,16 +80,12 @@ class QuadraticProgram:
         Raises:
             SolverError: The program was refused, see :meth:`solve`, or not solved.
         """
-        for name, entries in (("matrix H", h), ("gradient", g), ("matrix A", a)):
-            if not np.isfinite(entries).all():
-                raise SolverError(f"the {name} of the quadratic program is not finite")
-        low, high, lower, upper = bounds
-        _require_consistent("row", low, high)
-        _require_consistent("unknown", lower, upper)
-        return _first_solved(memory.solve((h, g, a, *bounds)) for memory in self._memory)
+        for own, values in zip(self.entries, (h, g, a, *bounds), strict=True):
+            own[:] = values
+        return self.solve()
 
-    def solve(self, program: list[Any]) -> Array:
-        """Return the solution (n,) of a program H, g, A, low, high, lower, upper.
+    def solve(self) -> Array:
+        """Return the solution (n,) of the program in `entries`.
 
         A program with entries that are not finite, or with bounds that contradict each other, is
         refused before the call: HPIPM may crash on the former, and casadi raises an error of its
@@ -93,59 +94,30 @@ class QuadraticProgram:
         Raises:
             SolverError: The program was refused, or not solved.
         """
-        h, g, a, low, high, lower, upper = program
+        h, g, a, low, high, lower, upper = self.entries
         for name, entries in (("matrix H", h), ("gradient", g), ("matrix A", a)):
-            if not ca.DM(entries).is_regular():
+            if not np.isfinite(entries).all():
                 raise SolverError(f"the {name} of the quadratic program is not finite")
-        dense = [np.asarray(ca.DM(bound)).ravel() for bound in (low, high, lower, upper)]
-        _require_consistent("row", *dense[:2])
-        _require_consistent("unknown", *dense[2:])
-        values = dict(zip(ARGUMENTS, program, strict=True))
-        return _first_solved(
-            (np.asarray(mode(**values)["x"]).ravel(), mode.stats()) for mode in self._modes
-        )
-
-
-class _Memory:
-    """Arguments and results of a solver in arrays that it reads and writes in place.
-
-    All arguments and results are given, as some solvers crash without.
-    """
-
-    def __init__(self, solver: ca.Function) -> None:
-        # The stubs of casadi have the arguments of another language.
-        buffer: tuple[Any, Any] = solver.buffer()
-        self._buffer, self._run = buffer
-        self._arguments = [np.zeros(solver.nnz_in(k)) for k in range(solver.n_in())]
-        self._results = [np.zeros(solver.nnz_out(k)) for k in range(solver.n_out())]
-
-    def solve(self, program: tuple[Array, ...]) -> tuple[Array, dict[str, Any]]:
-        """Return what the solver found (n,) for the entries of a program, and its statistics."""
-        for array, values in zip(self._arguments, program, strict=False):
-            array[:] = values
-        # Anew each time: the solver takes the places of its results away from the buffer.
-        for k, array in enumerate(self._arguments):
-            self._buffer.set_arg(k, array.data)
-        for k, array in enumerate(self._results):
-            self._buffer.set_res(k, array.data)
-        self._run()
-        return self._results[0].copy(), self._buffer.stats()
-
-
-def _first_solved(attempts: Iterable[tuple[Array, dict[str, Any]]]) -> Array:
-    """Return the first solution (n,) of attempts that succeeded; raise SolverError if none did."""
-    status = ""
-    for solution, stats in attempts:
-        if stats["success"] and np.isfinite(solution).all():
-            return solution
-        status = str(stats["return_status"])
-    raise SolverError(f"the quadratic program was not solved ({status})")
+        _require_consistent("row", low, high)
+        _require_consistent("unknown", lower, upper)
+        status = ""
+        for solver in self._solvers:
+            for argument, entries in zip(solver.arguments, self.entries, strict=False):
+                if argument is not entries:
+                    argument[:] = entries
+            solver()
+            stats, solution = solver.stats(), solver.results[0]
+            if stats["success"] and np.isfinite(solution).all():
+                return solution.copy()
+            status = str(stats["return_status"])
+        raise SolverError(f"the quadratic program was not solved ({status})")
 
 
 def _require_consistent(name: str, least: Array, largest: Array) -> None:
     """Raise SolverError unless some finite value lies between the bounds (n,) in each place."""
-    is_possible = (least < np.inf) & (largest > -np.inf) & (least <= largest)
-    if not is_possible.all():
+    # NaN fails the first comparison.
+    if not ((least <= largest).all() and least.max() < np.inf and largest.min() > -np.inf):
+        is_possible = (least < np.inf) & (largest > -np.inf) & (least <= largest)
         k = int(np.flatnonzero(~is_possible)[0])
         raise SolverError(
             f"the bounds of {name} {k} of the quadratic program contradict each other: "

@@ -8,11 +8,13 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
+from omniman_ros.planning.mpc.in_place import InPlaceFunction, is_same
+from omniman_ros.planning.mpc.quadratic_program import ARGUMENTS, QuadraticProgram, SolverError
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 
 #: Largest change of a position in one iteration [m]: the linearised gaps hold nearby only
 TRUST_RADIUS = 0.3
+COST = len(ARGUMENTS)  #: Index of the cost in the results of a transcription's program
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,22 @@ class Solver:
     """
 
     def __init__(self, transcription: Transcription) -> None:
-        self.transcription = transcription
-        program = transcription.program
-        self._qp = QuadraticProgram(
-            program.sparsity_out(0), program.sparsity_out(2), transcription.sizes
-        )
+        t = self.transcription = transcription
+        self._qp = QuadraticProgram(t.h, t.a, t.sizes)
+        self._program = InPlaceFunction(t.program, self._qp.entries)
+        self._rollout = InPlaceFunction(t.rollout)
+
+    def take_over(self, program: ca.Function, rollout: ca.Function) -> bool:
+        """Use compiled functions in place of those of the transcription, if they are the same.
+
+        They are compared on random inputs, to the last bit. Returns whether they are used.
+        """
+        t = self.transcription
+        if not (is_same(t.program, program) and is_same(t.rollout, rollout)):
+            return False
+        self._program = InPlaceFunction(program, self._qp.entries)
+        self._rollout = InPlaceFunction(rollout)
+        return True
 
     def cold(self) -> Array:
         """Return the guess (N, n) [A] for a cold start: zero currents."""
@@ -59,7 +72,10 @@ class Solver:
 
     def states(self, start: Array, currents: Array) -> Array:
         """Return the states (N + 1, 6) that result from a start (6,) and currents (N, n) [A]."""
-        return np.vstack([start, np.asarray(self.transcription.rollout(start, currents.T)).T])
+        own_start, own_currents = self._rollout.arguments
+        own_start[:], own_currents[:] = start, currents.ravel()
+        self._rollout()
+        return np.concatenate([start, self._rollout.results[0]]).reshape(-1, len(start))
 
     def solve(self, start: Array, guess: Array, stage: Stage, iterations: int = 1) -> Solution:
         """Improve a guess (N, n) of currents [A]; iterations end early if they change little.
@@ -70,39 +86,37 @@ class Solver:
             SolverError: The solution is not finite, or no program was solved.
         """
         t = self.transcription
-        table = stage.table().T
         if not (np.isfinite(start).all() and np.isfinite(guess).all()):
             raise SolverError("the start or the guess is not finite")
-        currents, cost, slack, step, count = guess.T, np.nan, np.zeros(t.steps), np.inf, 0
-        limit = t.model.max_current[:, None]
+        own_start, own_currents, own_table = self._program.arguments
+        own_start[:], own_table[:] = start, stage.table().ravel()
+        currents, cost, slack, step, count = guess, np.nan, np.zeros(t.steps), np.inf, 0
+        limit = t.model.max_current
         for _ in range(iterations):
-            *program, value, _ = t.program(start, currents, table)
+            own_currents[:] = currents.ravel()
+            self._program()
             try:
-                change = self._step(program)
+                change = self._qp.solve().reshape(t.steps, -1)  # rows (delta u, s, delta x)
             except SolverError:
                 if not count:
                     raise
                 break  # the iterate before is still a solution
             positions = change[:, t.controls + 1 : t.controls + 3]
             scale = min(1.0, TRUST_RADIUS / max(float(np.abs(positions).max()), TRUST_RADIUS))
-            current_change = scale * change[:, : t.controls].T
+            current_change = scale * change[:, : t.controls]
             currents = np.clip(currents + current_change, -limit, limit)
-            cost, slack = float(value), change[:, t.controls]
+            cost, slack = float(self._program.results[COST][0]), change[:, t.controls]
             step, count = float(np.abs(current_change).max()), count + 1
             if step < 0.01 * float(limit.max()):
                 break
-        states = self.states(start, currents.T)
+        states = self.states(start, currents)
         if not np.isfinite(states).all():
             raise SolverError("the plan is not finite")
         return Solution.unchecked(
-            currents=np.ascontiguousarray(currents.T),
+            currents=currents,
             states=states,
             cost=cost,
             slack=slack,
             step=step,
             iterations=count,
         )
-
-    def _step(self, program: list[ca.DM]) -> Array:
-        """Solve a quadratic program; return a row (delta u, s, delta x) for each step."""
-        return self._qp.solve(program).reshape(self.transcription.steps, -1)

@@ -46,6 +46,34 @@ def box_gap(
         return _finite(_nearest(_placed(poses, box, centers, angles), semi_axes).gap)
 
 
+def facing_gap(
+    poses: Array, box: Rectangles, centers: Array, semi_axes: Array, angles: Array
+) -> Array:
+    """Return another lower bound of the distance of :func:`box_gap`, in half its time.
+
+    The point of the box that is the nearest to the ellipse's centre is r away from it, in the
+    direction n. The box lies beyond the line through that point across n, and no point of the
+    ellipse is farther towards it than h(n) = sqrt((a n.x)^2 + (b n.y)^2): the bound is r - h(n).
+    It is exact for circles; with the centre inside the box it is the negative larger semi-axis.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        dx, dy = centers[..., 0] - poses[:, :1], centers[..., 1] - poses[:, 1:2]
+        x = cos * dx + sin * dy - box.centre[..., 0]
+        y = cos * dy - sin * dx - box.centre[..., 1]
+        c, s = np.cos(box.yaw), np.sin(box.yaw)
+        x, y = c * x + s * y, c * y - s * x
+        a, b = box.half[..., 0], box.half[..., 1]
+        x, y = x - np.clip(x, -a, a), y - np.clip(y, -b, b)
+        turn = angles - box.yaw - poses[:, 2:]
+        c, s = np.cos(turn), np.sin(turn)
+        distance = np.hypot(x, y)
+        reach = np.hypot(semi_axes[..., 0] * (c * x + s * y), semi_axes[..., 1] * (c * y - s * x))
+        inside = distance <= 0.0
+        extent = reach / np.where(inside, 1.0, distance)
+        return _finite(np.where(inside, -semi_axes.max(axis=-1), distance - extent))
+
+
 def swept_gap(
     times: Array,
     poses: Array,

@@ -8,8 +8,9 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
 from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.mpc.gap_rows import OBSTACLE
 from omniman_ros.planning.mpc.problem import Problem
-from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES
+from omniman_ros.planning.mpc.transcription import SIDES
 from omniman_ros.planning.obstacles.ellipses import inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
@@ -145,12 +146,6 @@ def test_clearance_shrinks_the_workspace():
 # ---- obstacles --------------------------------------------------------------------------------
 
 
-def shape_of(row):
-    """Return the centre and the matrix of the ellipse in an obstacle slot."""
-    white = row[2:6].reshape(2, 2)
-    return row[:2], np.linalg.inv(white.T @ white)
-
-
 def test_obstacles_are_predicted_with_their_margins():
     known = ellipses(
         (1.0, -1.0, 0.4, 0.2, 0.5), time=NOW - 0.2, velocities=[(0.1, 0.3)], growth=0.05
@@ -161,15 +156,11 @@ def test_obstacles_are_predicted_with_their_margins():
     clearance = safety.clearance + safety.berth * math.hypot(0.1, 0.3)
     for k, row in enumerate(stage.obstacles[:, 0]):
         ahead = STEP * (k + 1) + 0.2
-        centre, matrix = shape_of(row)
-        np.testing.assert_allclose(centre, [1.0 + 0.1 * ahead, -1.0 + 0.3 * ahead])
-        axes = np.sqrt(np.sort(np.linalg.eigvalsh(matrix)))
-        least = inflated(np.array([0.4, 0.2]), clearance + 0.05 * ahead)
-        assert (axes >= np.sort(least) - 1e-9).all()
-        assert (axes <= np.sort(least) + 0.01).all()
-        assert row[6] == pytest.approx(axes[0])
-        turned = np.linalg.eigh(matrix)[1][:, 1]
-        assert abs(turned @ [math.cos(0.5), math.sin(0.5)]) == pytest.approx(1.0)
+        np.testing.assert_allclose(row[:2], [1.0 + 0.1 * ahead, -1.0 + 0.3 * ahead])
+        np.testing.assert_allclose(row[2:4], [math.cos(0.5), math.sin(0.5)])
+        axes = inflated(np.array([0.4, 0.2]), clearance + 0.05 * ahead)
+        np.testing.assert_allclose(row[4:6], axes)
+        np.testing.assert_allclose(row[6:8], [0.1, 0.3])
 
 
 @pytest.mark.parametrize(("speed", "more"), [(0.0, 0.0), (0.25, 0.1), (5.0, 0.3)])
@@ -177,14 +168,8 @@ def test_margin_grows_with_obstacle_speed_up_to_a_limit(speed, more):
     known = ellipses((1.0, 1.0, 0.3), time=NOW, velocities=[(0.0, speed)])
     still = ellipses((1.0, 1.0, 0.3), time=NOW, velocities=[(0.0, 0.0)])
     problem = a_problem(safety__berth=0.4)
-    (least, wide) = (
-        stage_of(problem, guess=a_line(0.0, speed), around=seen).obstacles[0, 0, 6]
-        for seen in (still, known)
-    )
-    # The guess moves with the obstacle, so that no widening between steps is needed.
-    reference = stage_of(problem, guess=a_line(0.0), around=still).obstacles[0, 0, 6]
-    assert least >= reference
-    assert wide - reference == pytest.approx(more, abs=1e-6)
+    (least, wide) = (stage_of(problem, around=seen).obstacles[0, 0, 4] for seen in (still, known))
+    assert wide - least == pytest.approx(more, abs=1e-6)
 
 
 def test_slots_hold_the_nearest_obstacle_on_every_side_at_every_step():
@@ -219,7 +204,7 @@ def test_empty_slots_hold_an_obstacle_far_away():
     assert np.hypot(*stage.obstacles[0, 0, :2]) < 2.0
     assert (np.abs(stage.obstacles[:, 1:, :2]) > 100.0).all()
     np.testing.assert_allclose(
-        stage.obstacles[:, 1:, 2:7], np.tile([1, 0, 0, 1, 1], (STEPS, 2, 1))
+        stage.obstacles[:, 1:, 2:8], np.tile([1, 0, 1, 1, 0, 0], (STEPS, 2, 1))
     )
     none = stage_of(a_problem())
     assert none.obstacles.shape == (STEPS, SLOTS, OBSTACLE)
@@ -243,14 +228,29 @@ def test_no_reachable_obstacle_is_left_out():
     assert 50 < met < 190
 
 
-def test_small_obstacle_is_widened_where_steps_are_long():
-    small = ellipses((1.0, 0.6, 0.03), time=NOW, velocities=[(0.0, -4.0)])
-    slow = ellipses((1.0, 0.6, 0.03), time=NOW)
+# ---- workspace --------------------------------------------------------------------------------
+
+
+def test_a_problem_is_confined_where_the_robot_can_reach_the_border():
+    random, met = np.random.default_rng(2), 0
+    problem = a_problem(workspace__x_min=-4.0, workspace__y_min=-4.0, workspace__x_max=4.0)
+    p = problem.limits.parameters
+    outline = Footprint(Rectangles.centred(problem.model.half))
+    gap, horizon = p.safety.clearance, p.horizon.duration
+    for _ in range(200):
+        start = np.append(random.uniform(-4, 4, 3), random.uniform(-1, 1, 3))
+        fastest = max(p.limits.linear_velocity, math.hypot(start[3], start[4]))
+        corners = outline.radius + gap + fastest * horizon
+        room = np.append(start[:2] + 4.0, 4.0 - start[0]).min()
+        is_confined = problem.is_confined(start, outline)
+        assert is_confined or room > corners
+        met += not is_confined
+    assert 10 < met < 190
+
+
+def test_a_problem_without_a_border_has_no_points_of_the_outline():
     problem = a_problem()
-    wide, narrow = (
-        np.sqrt(np.linalg.eigvalsh(shape_of(stage_of(problem, around=known).obstacles[3, 0])[1]))
-        for known in (small, slow)
-    )
-    # Widened by half of the 0.4 m travelled in a step: nothing slips between two nodes.
-    assert wide.min() > 0.19
-    assert narrow.max() < 0.03 + 0.05 + 0.02
+    pairs = Pairs.of(Footprint(Rectangles.centred(problem.model.half)), ellipses())
+    goal = PoseGoal(np.array([1.0, 0.0, 0.0]))
+    stage = problem.stage(np.zeros(6), a_line(), goal, pairs, SLOTS, confined=False)
+    assert stage.extremes.shape == (STEPS, 0, 2)

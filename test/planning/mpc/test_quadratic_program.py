@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
+from omniman_ros.planning.mpc import quadratic_program
+from omniman_ros.planning.mpc.quadratic_program import MODES, QuadraticProgram, SolverError
 
 #: Unknowns x_0, u_0, x_1: rows x_0 + u_0 - x_1 = 0 and u_0 within bounds
 SIZES = {"N": 1, "nx": [1, 1], "nu": [1, 0], "ng": [1, 0]}
@@ -61,3 +62,25 @@ def test_each_program_has_its_own_solution(program):
 def test_what_is_not_finite_or_contradictory_is_refused(program, part, values, message):
     with pytest.raises(SolverError, match=message):
         program.solve_entries(*entries(**{part: values}))
+
+
+def test_entries_that_are_written_in_place_are_solved(program):
+    h, g, a, bounds = entries(high=[0.0, 0.25])
+    for own, values in zip(program.entries, (h, g, a, *bounds), strict=True):
+        own[:] = values
+    assert program.solve() == pytest.approx([1.0, 0.25, 1.25], abs=0.02)
+
+
+@pytest.mark.parametrize("limited", ["speed", "balance"])
+def test_the_limit_of_iterations_is_a_failure_unless_the_other_mode_solves_it(
+    monkeypatch, limited
+):
+    few = {**MODES, limited: {**MODES[limited], "iter_max": 1}}
+    monkeypatch.setattr(quadratic_program, "MODES", few)
+    made = QuadraticProgram.of_masks(np.eye(3) != 0, A != 0, SIZES)
+    assert made.solve_entries(*entries()) == pytest.approx([1.0, 0.5, 1.5], abs=0.02)
+    few = {mode: {**options, "iter_max": 1} for mode, options in MODES.items()}
+    monkeypatch.setattr(quadratic_program, "MODES", few)
+    made = QuadraticProgram.of_masks(np.eye(3) != 0, A != 0, SIZES)
+    with pytest.raises(SolverError, match="not solved"):
+        made.solve_entries(*entries())

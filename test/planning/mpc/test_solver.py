@@ -26,7 +26,7 @@ FIRM = 16.0  #: Damping with which iterations converge where full steps go aroun
 
 @cache
 def solver(name="ig42", slots=SLOTS, damping=1.0):
-    return Solver(Transcription(model(name), STEPS, STEP, slots, damping))
+    return Solver(Transcription(model(name), STEPS, STEP, slots, damping=damping))
 
 
 def converged(using, stage, start=None):
@@ -103,7 +103,7 @@ def test_low_battery_voltage_and_low_traction_limit_the_motion():
         ({"friction__mu": 0.08}, "current"),
     ):
         p = parameters(**change)
-        t = Transcription(PlanningModel.of(p.robot), STEPS, STEP, 0, FIRM)
+        t = Transcription(PlanningModel.of(p.robot), STEPS, STEP, 0, damping=FIRM)
         weak = Solver(t)
         stage = stage_of("ig42", pose(4, 0, 0), **change)
         stage = replace(stage, obstacles=stage.obstacles[:, :0])

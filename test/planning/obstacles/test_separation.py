@@ -10,6 +10,7 @@ from omniman_ros.planning.obstacles import separation
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import (
     box_gap,
+    facing_gap,
     first_contact,
     outside_by,
     swept_gap,
@@ -243,6 +244,56 @@ def test_obstacle_with_nan_has_no_gap(value):
     assert gap((0, 0, 0), (value, 5), (0.2, 0.1)) == -math.inf
     assert gap((0, 0, 0), (5, 5), (0.2, 0.1), angle=value) == -math.inf
     assert gap((0, 0, 0), (5, 5), (abs(value), 0.1)) == -math.inf
+
+
+# ---- facing_gap -------------------------------------------------------------------------------
+
+
+def facing(poses, centers, axes, angles, box=BOX):
+    """Return `facing_gap` (N,) of N separate pairs."""
+    pairs = zip(poses, centers, axes, angles, strict=True)
+    return np.array(
+        [
+            facing_gap(pose[None], box, center[None, None], each[None, None], angle[None])[0, 0]
+            for pose, center, each, angle in pairs
+        ]
+    )
+
+
+@pytest.mark.parametrize(("aspect", "median"), [(1.0, 0.99), (2.0, 0.93), (4.0, 0.85)])
+def test_facing_gap_is_a_lower_bound_of_the_distance(aspect, median):
+    drawn = cases(np.random.default_rng(4), 1500, aspect)
+    distance, gaps = sampled(*drawn), facing(*drawn)
+    assert (gaps <= distance + 1e-12).all()
+    far = distance > 0.05
+    assert far.sum() > 1000 and np.median(gaps[far] / distance[far]) > median
+
+
+def test_facing_gap_to_a_circle_is_that_of_any_box():
+    rng = np.random.default_rng(5)
+    poses, centers, axes, angles = cases(rng, 300, 1.0)
+    box = Rectangles(np.array([0.2, -0.1]), np.array(0.6), HALF)
+    pairs = zip(poses, centers, axes, angles, strict=True)
+    exact = np.array(
+        [
+            box_gap(pose[None], box, center[None, None], each[None, None], angle[None])[0, 0]
+            for pose, center, each, angle in pairs
+        ]
+    )
+    found = facing(poses, centers, axes, angles, box)
+    apart = exact > -axes[:, 0]
+    np.testing.assert_allclose(found[apart], exact[apart], atol=1e-12)
+    np.testing.assert_allclose(found[~apart], -axes[~apart, 0])
+
+
+@pytest.mark.parametrize("value", UNKNOWN)
+@pytest.mark.filterwarnings("error")
+def test_facing_gap_of_what_is_not_finite_fails_every_comparison(value):
+    usual = np.zeros(3), np.array([5.0, 5.0]), np.array([0.2, 0.1]), np.array(0.0)
+    for k, number in enumerate(usual):
+        changed = [np.array(each) for each in usual]
+        changed[k] = np.full(number.shape, abs(value) if k == 2 else value)
+        assert facing(*(each[None] for each in changed))[0] == -math.inf
 
 
 # ---- swept_gap --------------------------------------------------------------------------------
