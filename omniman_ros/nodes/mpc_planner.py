@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
@@ -26,6 +27,9 @@ from omniman_ros.nodes.planner_interfaces.sensor_interface import (
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.planning.cycle import PlannerState
+
+if TYPE_CHECKING:  # needs casadi, which is optional
+    from omniman_ros.nodes.planner_interfaces.compiled_functions import CompiledFunctions
 
 
 class MpcPlannerNode(OmnimanNode):
@@ -74,6 +78,8 @@ class MpcPlannerNode(OmnimanNode):
             ("cancel", self.loop.cancel),
         ):
             self.create_service(Trigger, f"~/{name}", functools.partial(self._serve, request))
+        self._compiled: CompiledFunctions | None = None
+        self._compile()
         self.every(p.period, self.tick)
         self.every(p.voltages_period, self.publisher.send_voltages)
 
@@ -86,11 +92,27 @@ class MpcPlannerNode(OmnimanNode):
             raise ParameterError(
                 "robot", "new data", "cannot change during a motion: cancel it first"
             )
+        solvers = self.core.solvers
         self.core.configure(new.core)
+        if self.core.solvers is not solvers:
+            self._compile()
         self.posture.configure(new)
         self.core.anchored = new.output == "reference"
         self.sensors.configure(new)
         self._monitor.silence = new.restart
+
+    def _compile(self) -> None:
+        """Have the functions of the present solvers compiled in the background."""
+        from omniman_ros.nodes.planner_interfaces import compiled_functions
+
+        if self._compiled is not None:
+            self._compiled.close()
+        if self.settings.value.planner.compile == "auto":
+            self._compiled = compiled_functions.CompiledFunctions(
+                self.core.solvers.all,
+                compiled_functions.default_folder(),
+                self.get_logger().info,
+            )
 
     def _serve(
         self,
@@ -108,6 +130,8 @@ class MpcPlannerNode(OmnimanNode):
         """Run one planning cycle, and publish the status."""
         self.loop.tick()
         self._publish_status()
+        if self._compiled is not None:
+            self._compiled.poll()
 
     def _publish_status(self) -> None:
         if not self._status_publisher.get_subscription_count():
@@ -150,6 +174,12 @@ class MpcPlannerNode(OmnimanNode):
         """Bring the robot to rest, and accept no other goal."""
         self.loop.begin_shutdown()
         self.frames.end_waiting()
+
+    def destroy_node(self) -> None:
+        """End what is being compiled, and the node."""
+        if self._compiled is not None:
+            self._compiled.close()
+        super().destroy_node()
 
     @property
     def finished(self) -> bool:

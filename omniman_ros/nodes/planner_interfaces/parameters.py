@@ -57,6 +57,19 @@ class FootprintOptions(Validated):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ComputationOptions(Validated):
+    """How plans are computed."""
+
+    compile: str = parameter(
+        "auto",
+        "Whether the planner's functions are compiled in the background where there is a C "
+        "compiler, and kept in ~/.cache/omniman_ros.",
+        choices=("auto", "never"),
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class MpcPlannerParameters(RestartParameters):
     """Parameters of the planner, of the streams, and of frames and maps."""
 
@@ -66,6 +79,7 @@ class MpcPlannerParameters(RestartParameters):
     tool: ToolShape
     load: LoadShape
     footprint: FootprintOptions
+    planner: ComputationOptions
     output: str = parameter(
         "reference",
         "What drives the robot: `mpc/reference`, which the platform controller "

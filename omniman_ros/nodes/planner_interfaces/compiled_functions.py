@@ -1,0 +1,150 @@
+"""Functions of the planner's solvers, compiled in the background if there is a C compiler."""
+
+import hashlib
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import casadi as ca
+
+from omniman_ros.planning.mpc.solver import Solver
+
+COMPILER = "cc"
+#: Options of the compiler: without contractions of products and sums, so that the results are
+#: those of casadi's virtual machine to the last bit
+OPTIONS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
+NICE = ("nice", "-n", "19")  #: What keeps the compiler from delaying the robot
+LONGEST_WORD = 200  #: Length to which a compiler's complaint is cut
+
+
+def default_folder() -> Path:
+    """Return the folder for compiled functions, which may be deleted at any time."""
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(cache, "omniman_ros")
+
+
+class CompiledFunctions:
+    """Hands compiled functions to solvers, one solver after the other.
+
+    A library is named by the code and the compiler, and kept for the next start. What fails is
+    reported once; the solvers then go on with casadi's virtual machine.
+
+    Args:
+        solvers: Solvers whose functions are to be compiled.
+        folder: Where libraries are kept.
+        report: Called with what there is to say.
+
+    Attributes:
+        failure: Why not all solvers use compiled functions, or empty.
+    """
+
+    def __init__(
+        self, solvers: Iterable[Solver], folder: Path, report: Callable[[str], None]
+    ) -> None:
+        self._report, self._folder = report, folder
+        # Code is generated before the robot drives: it takes as long as a cycle.
+        self._waiting = deque((solver, solver.transcription.c_code()) for solver in solvers)
+        self._running: subprocess.Popen[bytes] | None = None
+        self._files = tempfile.TemporaryDirectory(prefix="omniman_compile_")
+        self._source, self._made, self._complaints = (
+            Path(self._files.name, f"functions.{kind}") for kind in ("c", "so", "txt")
+        )
+        self._library = Path()
+        self._count, self.failure = len(self._waiting), ""
+        self._version = _version()
+        if not self._version:
+            self._end(f"there is no C compiler `{COMPILER}`")
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing more is to be done."""
+        return not self._waiting
+
+    def poll(self) -> None:
+        """Do one step that takes a few milliseconds: to be called between two cycles."""
+        if self.is_done:
+            return
+        try:
+            if self._running is None:
+                self._begin()
+            elif self._running.poll() is not None:
+                self._running = None
+                self._take()
+        except OSError as error:
+            self._end(str(error)[:LONGEST_WORD])
+
+    def close(self) -> None:
+        """Stop what is running."""
+        self._waiting.clear()
+        if self._running is not None:
+            os.killpg(self._running.pid, signal.SIGKILL)  # the compiler has children
+            self._running.wait()
+            self._running = None
+        self._files.cleanup()
+
+    def _begin(self) -> None:
+        """Use the library of the next solver, or start its compilation."""
+        _, code = self._waiting[0]
+        contents = "\0".join((code, self._version, *OPTIONS))
+        name = hashlib.sha256(contents.encode()).hexdigest()[:32]
+        self._library = self._folder / f"{name}.so"
+        if self._library.exists():
+            self._use()
+            return
+        self._source.write_text(code)
+        with open(self._complaints, "w") as complaints:
+            self._running = subprocess.Popen(
+                [*NICE, COMPILER, *OPTIONS, "-o", self._made, self._source, "-lm"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=complaints,
+                start_new_session=True,
+            )
+
+    def _take(self) -> None:
+        """Keep the library that the compiler has made, and use it."""
+        if not self._made.exists():
+            self._end(self._complaints.read_text().strip()[:LONGEST_WORD])
+            return
+        self._folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=self._folder, delete=False) as kept:
+            kept.write(self._made.read_bytes())
+        self._made.unlink()
+        Path(kept.name).replace(self._library)  # at once, for those who start at the same time
+        self._use()
+
+    def _use(self) -> None:
+        solver, _ = self._waiting[0]
+        t, path = solver.transcription, str(self._library)
+        try:
+            compiled = [ca.external(f.name(), path) for f in (t.program, t.rollout)]
+        except RuntimeError:
+            is_used = False
+        else:
+            is_used = solver.take_over(*compiled)
+        if not is_used:
+            self._library.unlink()
+            self._end(f"{path} is not what its name says, and was removed")
+            return
+        self._waiting.popleft()
+        if not self._waiting:
+            self._report(f"plans are computed by compiled functions ({self._count} problems)")
+            self.close()
+
+    def _end(self, why: str) -> None:
+        self.failure = why
+        self._report(f"plans are computed by casadi's virtual machine: {why}")
+        self.close()
+
+
+def _version() -> str:
+    """Return the version of the compiler, or an empty string if there is none."""
+    if shutil.which(COMPILER) is None:
+        return ""
+    found = subprocess.run([COMPILER, "--version"], capture_output=True, text=True, check=False)
+    return found.stdout.strip()
