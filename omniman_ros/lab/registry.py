@@ -72,7 +72,7 @@ BENCHMARKS = {
     "path": Study("bench.path", "time of planning, distance from the least time, CPU time"),
     "mpc": Study(
         "bench.mpc",
-        "the planner's solver beside IPOPT on the same problems: CPU time, cost",
+        "the planner's solver beside acados and IPOPT on the same problems: CPU time, cost",
         efforts=("quick", "full"),
     ),
     "can": Study(

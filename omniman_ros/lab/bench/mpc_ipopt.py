@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.bench.mpc_rig import Task
+from omniman_ros.planning.mpc.assembly import NODE
 from omniman_ros.planning.mpc.model import STATES
 from omniman_ros.planning.mpc.transcription import Transcription
 
@@ -69,7 +70,7 @@ class Ipopt:
         t = self._t
         x, y, u = ca.SX.sym("x", STATES), ca.SX.sym("y", STATES), ca.SX.sym("u", t.controls)
         p = ca.SX.sym("p", t.program.size1_in(2))
-        costs = p[21] * t.losses(x, u) + ca.sumsqr(t.node_residuals(y, p))
+        costs = p[21] * t.losses(x, u) + ca.sumsqr(t.node_residuals(y, p[NODE]))
         value, low, high = t.inequalities(x, u, y, p)
         outputs = [costs, value[: t.relaxed], value[t.relaxed :]]
         bounds = [np.asarray(ca.evalf(ca.densify(bound))).ravel() for bound in (low, high)]

@@ -5,6 +5,7 @@ and how fast the problem is solved.
 """
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -13,8 +14,13 @@ import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
+from omniman_ros.nodes.planner_interfaces.compiled_functions import (
+    CompiledFunctions,
+    default_folder,
+)
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.motion import HermiteTrajectory
@@ -34,10 +40,12 @@ SEMI_AXES = (0.12, 0.4)  #: range of the semi-axes of obstacles [m]
 SPEEDS = (0.1, 0.4)  #: range of the speed of the half of the obstacles that moves [m/s]
 LATERAL = 1.6  #: largest distance of obstacles' centres from the line from start to goal [m]
 START_GAP, GOAL_GAP = 0.35, 0.15  #: least gaps to the robot at start and goal [m]
-WORKSPACE_MARGIN = 2.0  #: distance from start and goal to the border of the workspace [m]
+#: Distance from start and goal to the border of the workspace [m]: the robot never comes near it
+WORKSPACE_MARGIN = 5.0
 #: Standard deviations of the disturbance of the state in a step: pose in odom [m, m, rad] and
 #: twist in base_link [m/s, m/s, rad/s].
 NOISE = (0.002, 0.002, 0.002, 0.01, 0.01, 0.01)
+POLL_PERIOD = 0.05  #: time between two looks at the compiler [s]
 STEP = 0.1  #: duration of a step of the horizon, and of a step of a drive [s]
 
 
@@ -110,8 +118,16 @@ class Rig:
         values = {"horizon.steps": steps, "horizon.step": STEP, "horizon.slots": obstacles}
         self._parameters = build(PlannerParameters, {**robot, **values})
         self._model = PlanningModel.of(self._parameters.robot)
-        self.transcription = Transcription(self._model, steps, STEP, obstacles)
+        self.transcription = Transcription(self._model, steps, STEP, obstacles, confined=False)
         self._solver = Solver(self.transcription)
+
+    def compile(self) -> bool:
+        """Have the planner's solver use compiled functions; return whether it does."""
+        functions = CompiledFunctions([self._solver], default_folder(), say)
+        while not functions.is_done:
+            functions.poll()
+            time.sleep(POLL_PERIOD)
+        return not functions.failure
 
     def scene(self, seed: int) -> MpcScene:
         """Return a random scene with as many obstacles as the problem has."""
@@ -145,7 +161,7 @@ class Rig:
             guess = solver.shifted(currents, STEP) if k else currents
             states = solver.states(x, guess)
             expected = HermiteTrajectory.of_states(k * STEP, STEP, states, guess)
-            stage = problem.stage(x, expected, goal, pairs, t.slots)
+            stage = problem.stage(x, expected, goal, pairs, t.slots, confined=t.confined)
             task = Task(k == 0, x, guess, states, stage)
             between = clock()
             currents, solved = plan(task)

@@ -73,6 +73,8 @@ JUST_MET = {
     },
     mpc: {
         "alone": {"N=10 M=4": solved(2.0), "N=20 M=4": solved(5.0), "N=10 M=10": solved(5.0)},
+        "acados": {},
+        "compiled": {case: solved(2.0, acados=(1.0, 2.0)) for case in mpc.ACADOS_CASES},
         "beside": {"N=10 M=4": solved(2.0, ipopt=(15.0, 20.0))},
         "closed_loop": {"N=10 M=4": mpc.drive_statistics([(1.02, True)])},
     },
@@ -106,6 +108,8 @@ WORSE = [
     (mpc, ("beside", "N=10 M=4", "ipopt", "p99_ms"), 19.9),
     (mpc, ("alone", "N=20 M=4", "cycle", "median_ms"), 5.01),
     (mpc, ("alone", "N=10 M=10", "cycle", "median_ms"), 5.01),
+    (mpc, ("compiled", "N=10 M=4", "acados", "median_ms"), 0.99),
+    (mpc, ("compiled", "N=20 M=4", "acados", "p99_ms"), 1.98),
     (mpc, ("closed_loop", "N=10 M=4", "median_ratio"), 1.021),
     (can_bus, ("cases", 0, "ratio"), 2.1),
     (arm, ("ratio",), 1.51),
@@ -164,6 +168,26 @@ def test_an_aim_that_nothing_decides_is_neither_met_nor_missed():
     met = aims(whole_body_obstacles.report({"methods": methods}))
     assert met.pop("completed without contact") is False
     assert met.pop("contacts") is True and set(met.values()) == {None}
+
+
+def test_compiled_functions_are_judged_only_beside_acados():
+    alone = {mpc.MAIN: solved(2.0)}
+    judged = aims(mpc.report(JUST_MET[mpc] | {"compiled": alone}))
+    ratios = {name: met for name, met in judged.items() if "compiled" in name}
+    assert len(ratios) == 4 and set(ratios.values()) == {None}
+
+
+def test_acados_is_beside_the_solver_in_its_cases_or_not_measured():
+    without = "\n".join(lines(mpc.report(JUST_MET[mpc])))
+    assert "not installed" in without and without.count("not measured") == 4
+    acados = {case: solved(2.0, acados=(0.7, 0.8)) for case in mpc.ACADOS_CASES}
+    report = mpc.report(JUST_MET[mpc] | {"acados": acados})
+    shown = {row.about: row.values for part in report for row in part.figures}
+    assert shown["acados over solver, median, N=20 M=4"] == ("0.7",)
+    assert shown["acados over solver, p99, N=20 M=4"] == ("0.4",)
+    assert shown["N=10 M=4, beside acados: acados"] == ["0.70", "0.80", "2.10", "0 of 9"]
+    assert aims(report) == aims(mpc.report(JUST_MET[mpc]))
+    assert "not " not in "\n".join(lines(report))
 
 
 def test_costs_are_compared_only_where_both_pass_on_the_same_sides():
