@@ -19,21 +19,32 @@ class InPlaceFunction:
 
     Args:
         results: Arrays for the first results, such as the arguments of another function.
+        arguments: Arrays for the first arguments.
 
     Attributes:
         arguments: An array (k,) for each argument; write them before a call.
         results: An array (k,) for each result.
     """
 
-    def __init__(self, function: ca.Function, results: Sequence[Array] = ()) -> None:
+    def __init__(
+        self,
+        function: ca.Function,
+        results: Sequence[Array] = (),
+        arguments: Sequence[Array] = (),
+    ) -> None:
         # The stubs of casadi have the arguments of another language.
         buffer: tuple[Any, Any] = function.buffer()
         self._buffer, self._run = buffer
-        self.arguments = [np.zeros(function.nnz_in(k)) for k in range(function.n_in())]
-        own = (np.zeros(function.nnz_out(k)) for k in range(len(results), function.n_out()))
-        self.results = [*results, *own]
-        for k, array in enumerate(self.results):
-            assert array.shape == (function.nnz_out(k),), f"result {k} of {function.name()}"
+        taken, given = (
+            [size(k) for k in range(count)]
+            for size, count in (
+                (function.nnz_in, function.n_in()),
+                (function.nnz_out, function.n_out()),
+            )
+        )
+        self.arguments = [*arguments, *map(np.zeros, taken[len(arguments) :])]
+        self.results = [*results, *map(np.zeros, given[len(results) :])]
+        assert [*map(len, self.arguments), *map(len, self.results)] == [*taken, *given]
         self._places = [array.data for array in self.arguments], [a.data for a in self.results]
 
     def __call__(self) -> None:

@@ -25,6 +25,7 @@ INFINITY = 1e4
 
 #: Names of the parts of a program, in the order of casadi, which has others after them
 ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+LOW = ARGUMENTS.index("lba")
 
 
 class SolverError(OmnimanError):
@@ -61,8 +62,15 @@ class QuadraticProgram:
             ]
         except RuntimeError as error:
             raise SolverError(f"casadi has no QP solver 'hpipm': {error}") from error
-        self._solvers = [InPlaceFunction(mode) for mode in modes]
-        self.entries = tuple(self._solvers[0].arguments[: len(ARGUMENTS)])
+        # One array for all entries, which is checked at once; and one for each kind of bounds.
+        (rows, unknowns), matrices = a.shape, (h.nnz(), h.shape[0], a.nnz())
+        self._matrices = np.zeros(sum(matrices))
+        self._least, self._largest = (np.zeros(rows + unknowns) for _ in range(2))
+        low, lower = np.split(self._least, [rows])
+        high, upper = np.split(self._largest, [rows])
+        parts = np.split(self._matrices, np.cumsum(matrices)[:-1])
+        self.entries = (*parts, low, high, lower, upper)
+        self._solvers = [InPlaceFunction(mode, arguments=self.entries) for mode in modes]
 
     @staticmethod
     def of_masks(h: Array, a: Array, sizes: dict[str, Any]) -> "QuadraticProgram":
@@ -94,17 +102,14 @@ class QuadraticProgram:
         Raises:
             SolverError: The program was refused, or not solved.
         """
-        h, g, a, low, high, lower, upper = self.entries
-        for name, entries in (("matrix H", h), ("gradient", g), ("matrix A", a)):
-            if not np.isfinite(entries).all():
-                raise SolverError(f"the {name} of the quadratic program is not finite")
-        _require_consistent("row", low, high)
-        _require_consistent("unknown", lower, upper)
+        if not np.isfinite(self._matrices).all():
+            raise self._not_finite()
+        # NaN fails the first comparison.
+        least, largest = self._least, self._largest
+        if not ((least <= largest).all() and least.max() < np.inf and largest.min() > -np.inf):
+            raise self._contradictory()
         status = ""
         for solver in self._solvers:
-            for argument, entries in zip(solver.arguments, self.entries, strict=False):
-                if argument is not entries:
-                    argument[:] = entries
             solver()
             stats, solution = solver.stats(), solver.results[0]
             if stats["success"] and np.isfinite(solution).all():
@@ -112,14 +117,19 @@ class QuadraticProgram:
             status = str(stats["return_status"])
         raise SolverError(f"the quadratic program was not solved ({status})")
 
+    def _not_finite(self) -> SolverError:
+        """Return the error of entries of which some are not finite."""
+        parts = zip(("matrix H", "gradient", "matrix A"), self.entries, strict=False)
+        names = [name for name, entries in parts if not np.isfinite(entries).all()]
+        return SolverError(f"the {names[0]} of the quadratic program is not finite")
 
-def _require_consistent(name: str, least: Array, largest: Array) -> None:
-    """Raise SolverError unless some finite value lies between the bounds (n,) in each place."""
-    # NaN fails the first comparison.
-    if not ((least <= largest).all() and least.max() < np.inf and largest.min() > -np.inf):
+    def _contradictory(self) -> SolverError:
+        """Return the error of bounds without a finite value between them."""
+        least, largest = self._least, self._largest
         is_possible = (least < np.inf) & (largest > -np.inf) & (least <= largest)
-        k = int(np.flatnonzero(~is_possible)[0])
-        raise SolverError(
-            f"the bounds of {name} {k} of the quadratic program contradict each other: "
-            f"{least[k]:g} and {largest[k]:g}"
+        first, rows = int(np.flatnonzero(~is_possible)[0]), len(self.entries[LOW])
+        place = f"row {first}" if first < rows else f"unknown {first - rows}"
+        return SolverError(
+            f"the bounds of {place} of the quadratic program contradict each other: "
+            f"{least[first]:g} and {largest[first]:g}"
         )

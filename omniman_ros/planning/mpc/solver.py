@@ -104,7 +104,7 @@ class Solver:
             positions = change[:, t.controls + 1 : t.controls + 3]
             scale = min(1.0, TRUST_RADIUS / max(float(np.abs(positions).max()), TRUST_RADIUS))
             current_change = scale * change[:, : t.controls]
-            currents = np.clip(currents + current_change, -limit, limit)
+            currents = np.maximum(np.minimum(currents + current_change, limit), -limit)
             cost, slack = float(self._program.results[COST][0]), change[:, t.controls]
             step, count = float(np.abs(current_change).max()), count + 1
             if step < 0.01 * float(limit.max()):
