@@ -48,6 +48,9 @@ ANGLE_RESERVE = 0.05  #: Distance that plans keep from the ends of the joints [r
 #: Fractions of a step that are tried until all of it is within the arm's reach
 STEPS = (1.0, 0.5, 0.25)
 DIAGONAL = np.sqrt(0.5)  #: Fraction of the limit of a vector that each of its components may use
+#: Half width of the bounds on the rates at the end of a plan, where it rests [m/s, rad/s]: between
+#: equal bounds there is no interior, and HPIPM's fast mode often fails
+REST_BAND = 1e-6
 
 
 class Linearisation:
@@ -126,7 +129,7 @@ class Linearisation:
             better, better_rates = z.copy(), rates.copy()
             better[1:] += fraction * step.states[:, :COORDINATES]
             better_rates[1:] += fraction * step.states[:, COORDINATES:]
-            better_rates[-1] = 0.0  # as that of the guess, but for rounding
+            better_rates[-1] = 0.0  # as that of the guess, but for REST_BAND
             if np.isfinite(self._redundancy.axes(better[1:])).all():
                 break
         return better, better_rates
@@ -163,7 +166,7 @@ class Linearisation:
         states[0, :, COORDINATES:] = np.minimum(-self._top - rates[1:], 0.0)
         states[1, :, COORDINATES:] = np.maximum(self._top - rates[1:], 0.0)
         states[0, :, COORDINATES + PATH_PARAMETER] = np.minimum(-rates[1:, PATH_PARAMETER], 0.0)
-        states[:, -1, COORDINATES:] = -rates[-1]
+        states[:, -1, COORDINATES:] = -rates[-1] + np.array([[-REST_BAND], [REST_BAND]])
         control = np.stack(
             [
                 np.minimum(-self._hardest - controls, 0.0),
