@@ -66,7 +66,7 @@ class ArmModel:
         shape = q.shape[:-1]
         frames = np.empty((*shape, JOINTS + 1, 4, 4))
         frames[..., 0, :, :] = np.eye(4)
-        links = self._link(q, slice(None))
+        links = self._links(q)
         for i in range(JOINTS):
             frames[..., i + 1, :, :] = frames[..., i, :, :] @ links[..., i, :, :]
         return frames
@@ -162,20 +162,17 @@ class ArmModel:
         reach = t.a2 * math.cos(q[1]) + t.a3 * math.cos(forearm) + t.d5 * math.sin(forearm + q[3])
         return "shoulder" if abs(reach) < SINGULARITY_THRESHOLD * (abs(t.a2) + abs(t.a3)) else ""
 
-    def _link(self, angle: Array, i: int | slice) -> Array:
-        """Return the transform (..., 4, 4) of DH frame i + 1 in frame i at angles (...) [rad].
-
-        A slice stands for several i, along the last axis of the angles.
-        """
-        c, s, ca, sa = np.cos(angle), np.sin(angle), self._cos[i], self._sin[i]
-        link = np.zeros((*np.shape(angle), 4, 4))
+    def _links(self, q: Array) -> Array:
+        """Return the transforms (..., 6, 4, 4) of DH frames i + 1 in frames i."""
+        c, s, ca, sa = np.cos(q), np.sin(q), self._cos, self._sin
+        link = np.zeros((*q.shape, 4, 4))
         link[..., 0, 0], link[..., 0, 1], link[..., 0, 2] = c, -s * ca, s * sa
         link[..., 1, 0], link[..., 1, 1], link[..., 1, 2] = s, c * ca, -c * sa
         link[..., 2, 1], link[..., 2, 2] = sa, ca
         link[..., 0, 3], link[..., 1, 3], link[..., 2, 3] = (
-            self._a[i] * c,
-            self._a[i] * s,
-            self._d[i],
+            self._a * c,
+            self._a * s,
+            self._d,
         )
         link[..., 3, 3] = 1.0
         return link
@@ -208,13 +205,15 @@ class ArmModel:
             np.arctan2(-lateral_axes[:, 1] * np.sign(s5), lateral_axes[:, 0] * np.sign(s5)),
         )
         # The pose of DH frame 4 in DH frame 1 depends on q2, q3 and q4 only: a planar arm.
-        planar = _inverted(self._link(q1, 0)) @ pose
-        planar = planar @ _inverted(self._link(q6, 5)) @ _inverted(self._link(q5, 4))
-        x, y = planar[:, 0, 3], planar[:, 1, 3]
+        c5, c6, s6 = np.cos(q5)[:, None], np.cos(q6)[:, None], np.sin(q6)[:, None]
+        n, o, a = (pose[:, :3, k] for k in range(3))
+        level = c5 * (c6 * n - s6 * o) - s5[:, None] * a  # x axis of DH frame 4
+        origin = centre + t.d5 * (s6 * n + c6 * o)
+        x, y = c1 * origin[:, 0] + s1 * origin[:, 1], origin[:, 2] - t.d1
         squared_distance = x * x + y * y
         q3 = elbow * _arccos((squared_distance - t.a2**2 - t.a3**2) / (2.0 * t.a2 * t.a3))
         q2 = np.arctan2(y, x) - np.arctan2(t.a3 * np.sin(q3), t.a2 + t.a3 * np.cos(q3))
-        q234 = np.arctan2(planar[:, 1, 0], planar[:, 0, 0])  # q2 + q3 + q4
+        q234 = np.arctan2(level[:, 2], c1 * level[:, 0] + s1 * level[:, 1])  # q2 + q3 + q4
         return np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=1)
 
 
@@ -223,12 +222,3 @@ def _arccos(cosine: Array) -> Array:
     clipped = np.clip(cosine, -1.0, 1.0)
     angle: Array = np.where(np.abs(cosine - clipped) <= ROUNDING, np.arccos(clipped), np.nan)
     return angle
-
-
-def _inverted(pose: Array) -> Array:
-    result = np.zeros_like(pose)
-    rotation = np.swapaxes(pose[:, :3, :3], 1, 2)
-    result[:, :3, :3] = rotation
-    result[:, :3, 3] = -(rotation @ pose[:, :3, 3:])[:, :, 0]
-    result[:, 3, 3] = 1.0
-    return result
