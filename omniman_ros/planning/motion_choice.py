@@ -7,7 +7,7 @@ found.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -77,7 +77,7 @@ class MotionChooser:
 
     def choose(
         self,
-        plans: Sequence[HermiteTrajectory],
+        plans: Iterable[HermiteTrajectory],
         earliest: float,
         last: HermiteTrajectory,
         before: MotionChoice | None,
@@ -85,12 +85,15 @@ class MotionChooser:
         """Return the best motion.
 
         Args:
-            plans: New plans by preference; they begin with the last motion.
+            plans: New plans by preference, each asked for as no other one before is clear; they
+                begin with the last motion.
             earliest: Time from which plans may brake [s].
             last: Motion that is followed now.
             before: The choice before, as a robot that evades continues to do so.
         """
+        tried: list[HermiteTrajectory] = []
         for k, plan in enumerate(plans):
+            tried.append(plan)
             clear = self.longest(plan, earliest)
             if clear is not None:
                 return MotionChoice(clear, k)
@@ -100,7 +103,7 @@ class MotionChooser:
         clear = self.longest(rest, self.ready)
         if clear is not None:
             return MotionChoice(clear, is_braking=True)
-        return self._latest_contact([*plans, rest], before is not None and before.is_evasion)
+        return self._latest_contact([*tried, rest], before is not None and before.is_evasion)
 
     def longest(self, motion: HermiteTrajectory, earliest: float) -> HermiteTrajectory | None:
         """Return the longest part of a motion that can be driven and then braked without contact.

@@ -1,6 +1,7 @@
 """Receding-horizon control of platform and arm in the redundancy, with the tool on its path."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,29 +110,35 @@ class WholeBodyController:
         last = self.motion = rest_of(self.motion, now)
         known = self._brakes_from.get(last.end)
         self._brakes_from = {} if known is None else {last.end: known}
-        plans, fault = self._plans(due, way, around)
+        evades, faults = not self._follows_plan, list[str]()
+        plans = self._plans(due, way, around, faults, evades=evades)
         chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS)
         self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
         self.motion = choice.motion
-        found = check.first.obstruction if plans and check.first is not None else None
-        if not plans:
+        found = check.first.obstruction if check.first is not None else None
+        if len(faults) > evades:  # there was no plan to check
             place = float(last.sample(due)[0][PATH_PARAMETER])
-            found = Obstruction(Cause.PROGRAM, place, "", fault)
+            found = Obstruction(Cause.PROGRAM, place, "", faults[0])
         return CycleOutcome(choice, check.verdict(choice.motion, now), found)
 
     def _plans(
-        self, due: float, way: PlatformPath, around: ObstacleSnapshot
-    ) -> tuple[list[HermiteTrajectory], str]:
-        """Return new plans from a time [s] on, or none and the reason.
+        self,
+        due: float,
+        way: PlatformPath,
+        around: ObstacleSnapshot,
+        faults: list[str],
+        *,
+        evades: bool,
+    ) -> Iterator[HermiteTrajectory]:
+        """Yield new plans from a time [s] on, and append to `faults` why one is missing.
 
         Where the last cycle had no clear plan, the second one is an evasion: it improves on a
-        robot that brakes at once, and so is free to go elsewhere.
+        robot that brakes at once, and so is free to go elsewhere. It is made if it is asked for.
         """
         last = self.motion
-        guesses = [last] if self._follows_plan else [last, self.braked(last, due)]
         before = last.between(last.start, due)
-        plans, faults = [], []
-        for guess in guesses:
+        for is_evasion in range(1 + evades):
+            guess = self.braked(last, due) if is_evasion else last
             times: Array = due + self._step * np.arange(self._options.steps + 1.0)
             z, rates = guess.at(times)
             controls = np.diff(rates, axis=0) / self._step
@@ -148,8 +155,7 @@ class WholeBodyController:
                 velocities=rates,
                 currents=np.zeros((self._options.steps, 0)),
             )
-            plans.append(before.then(plan))
-        return plans, faults[0] if faults else ""
+            yield before.then(plan)
 
     @property
     def _follows_plan(self) -> bool:
@@ -162,9 +168,9 @@ class WholeBodyController:
 
         One that brakes already is returned as it is: to brake it again would be harder.
         """
-        z, rates = motion.sample(time)
         if time >= min(self._brakes_from.get(motion.end, math.inf), motion.end):
             return motion  # it brakes already, and all motions end at rest
+        z, rates = motion.sample(time)
         if not np.abs(rates).max() > 0.0:
             return motion.between(motion.start, max(time, motion.start + PERIOD))
         at = self._redundancy.configurations(z[None])
