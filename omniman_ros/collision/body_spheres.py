@@ -75,7 +75,7 @@ class BodySpheres:
     def carried(self, frames: Array) -> PlacedSpheres:
         """Return the spheres for poses (..., 7, 4, 4) of the arm's base and links in base_link."""
         chosen = frames[..., self.frame, :3, :]
-        centre = (chosen[..., :3] @ self._local[:, :, None])[..., 0] + chosen[..., 3]
+        centre = np.einsum("...sij,sj->...si", chosen[..., :3], self._local) + chosen[..., 3]
         return PlacedSpheres.unchecked(centre=centre, frames=frames)
 
     def joint_derivative(self, placed: PlacedSpheres) -> Array:

@@ -185,14 +185,13 @@ def corner_distances(
         yaw: Its direction there [rad].
     """
     c, s = np.cos(yaw), np.sin(yaw)
-    least = np.full(np.broadcast(x, yaw).shape, np.inf)
-    for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        px = x + along * half[0] * c - across * half[1] * s
-        py = y + along * half[0] * s + across * half[1] * c
-        beyond_x = np.maximum(np.abs(px) - fixed[0], 0.0)
-        beyond_y = np.maximum(np.abs(py) - fixed[1], 0.0)
-        np.minimum(least, np.hypot(beyond_x, beyond_y), out=least)
-    extent_x = np.abs(half[0] * c) + np.abs(half[1] * s)
-    extent_y = np.abs(half[0] * s) + np.abs(half[1] * c)
-    is_apart = (np.abs(x) > fixed[0] + extent_x) | (np.abs(y) > fixed[1] + extent_y)
-    return least, is_apart
+    beyond, is_apart = [], np.zeros(np.broadcast(x, yaw).shape, dtype=bool)
+    for place, along, across, limit in (
+        (x, half[0] * c, -half[1] * s, fixed[0]),
+        (y, half[0] * s, half[1] * c, fixed[1]),
+    ):
+        total, difference = along + across, along - across
+        corners = np.abs(place + np.stack((total, difference, -difference, -total))) - limit
+        beyond.append(np.maximum(corners, 0.0))
+        is_apart |= np.abs(place) > limit + np.abs(along) + np.abs(across)
+    return np.hypot(*beyond).min(axis=0), is_apart

@@ -156,9 +156,12 @@ class BodyGaps:
         above = np.moveaxis(centre[:, self._above], -1, 0)
         deck = point_gap_values(self._deck, above)
         to_deck = deck.min(axis=-1) - radius[self._above]
-        between = np.linalg.norm(centre[:, self._first] - centre[:, self._second], axis=-1)
-        between -= radius[self._first] + radius[self._second]
-        return to_deck, between
+        by_axis = np.ascontiguousarray(centre.T)  # (3, S, k): short axes are slow to sum over
+        apart = by_axis[:, self._first] - by_axis[:, self._second]
+        apart *= apart
+        between = np.sqrt(apart[0] + apart[1] + apart[2])
+        between -= (radius[self._first] + radius[self._second])[:, None]
+        return to_deck, between.T
 
     def platform(self, poses: Array, obstacles: UprightObstacles) -> Array:
         """Return the gaps (k, M) of the platform at poses (k, 3) to obstacles [m]."""
@@ -169,15 +172,14 @@ class BodyGaps:
         result: Array = np.min(found, axis=0)
         return result
 
-    def to_obstacles(
-        self, poses: Array, placed: PlacedSpheres, obstacles: UprightObstacles
-    ) -> Array:
-        """Return the gaps (k, 1 + S, M) of platform and spheres in base_link to obstacles [m].
+    def to_obstacles(self, poses: Array, centre: Array, obstacles: UprightObstacles) -> Array:
+        """Return the gaps (k, 1 + S, M) of platform and spheres to obstacles [m].
 
-        The centres (2, k, M) of the obstacles may differ from pose to pose (k, 3).
+        The centres (k, S, 3) of the spheres are in base_link. The centres (2, k, M) of the
+        obstacles may differ from pose to pose (k, 3).
         """
         platform = self.platform(poses, obstacles)
-        points = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
+        points = np.moveaxis(in_odom(poses, centre), -1, 0)
         gaps = point_gap_values(_for_spheres(obstacles), points) - self.spheres.radius[:, None]
         return np.concatenate([platform[:, None], gaps], axis=1)
 
@@ -248,26 +250,26 @@ class BodyGaps:
 
     def _own_rows(self, at: Configurations, placed: PlacedSpheres, moved: Array) -> GapRows:
         """Return the nearest gaps of the robot's parts: to the deck, and between spheres."""
-        centre, radius = placed.centre, self.spheres.radius
-        k = len(centre)
+        to_deck, between = self._own_gaps(placed)
+        centre, k = placed.centre, len(to_deck)
         rows = np.arange(k)[:, None]
-        above = np.moveaxis(centre[:, self._above], -1, 0)
-        deck, normal = point_gaps(self._deck, above)
-        nearest = deck.argmin(axis=-1)
-        gap = np.take_along_axis(deck, nearest[..., None], axis=-1)[..., 0] - radius[self._above]
-        normal = np.take_along_axis(normal, nearest[None, ..., None], axis=-1)[..., 0]
-        closest = np.argpartition(gap, 1, axis=1)[:, :2]
-        n = np.moveaxis(normal[:, rows, closest], 0, -1)
-        to_deck = np.einsum("kni,knij->knj", n, moved[rows, self._above[closest]])
-        apart = centre[:, self._second] - centre[:, self._first]
-        length = np.linalg.norm(apart, axis=-1)
-        between = length - radius[self._first] - radius[self._second]
+        closest = np.argpartition(to_deck, 1, axis=1)[:, :2]
+        sphere = self._above[closest]
+        deck, normal = point_gaps(self._deck, np.moveaxis(centre[rows, sphere], -1, 0))
+        normal = np.take_along_axis(normal, deck.argmin(axis=-1)[None, ..., None], axis=-1)
+        from_deck = np.moveaxis(normal[..., 0], 0, -1)
         pair = np.argpartition(between, 1, axis=1)[:, :2]
-        n = apart[rows, pair] / np.maximum(length[rows, pair], 1e-9)[..., None]
-        change = moved[rows, self._second[pair]] - moved[rows, self._first[pair]]
-        by_joints = np.concatenate([to_deck, np.einsum("kni,knij->knj", n, change)], axis=1)
+        first, second = self._first[pair], self._second[pair]
+        apart = centre[rows, second] - centre[rows, first]
+        apart /= np.maximum(np.linalg.norm(apart, axis=-1), 1e-9)[..., None]
+        change = moved[rows, second] - moved[rows, first]
+        by_joints = np.einsum(
+            "kni,knij->knj",
+            np.concatenate([from_deck, apart], axis=1),
+            np.concatenate([moved[rows, sphere], change], axis=1),
+        )
         return GapRows.unchecked(
-            gap=np.hstack([gap[rows, closest], between[rows, pair]]),
+            gap=np.hstack([to_deck[rows, closest], between[rows, pair]]),
             slope=by_joints @ at.rates,
             kind=np.full((k, 4), OWN),
         )

@@ -77,7 +77,9 @@ class PlanCheck:
         """Check a motion to its end, or longer; what moves is looked at up to `until` [s]."""
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)
-        z, rates = motion.at(times)
+        # At its end, the robot comes to rest: two samples there show all that follows.
+        moving = min(int(np.searchsorted(times, motion.end)) + 2, count)
+        z, rates = motion.at(times[:moving])
         q = self._redundancy.axes(z)
         if broken := self._impossible(times, z, rates, q):
             fault, k = broken
@@ -90,7 +92,11 @@ class PlanCheck:
             parts = self._gaps.nearest_own(placed, k)
             fault = Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts)
             return PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
-        of_parts = self._gaps.to_obstacles(z[:, :3], placed, around.placed(times - around.time))
+        seen = np.minimum(np.arange(count if len(around.moving) else moving), moving - 1)
+        times, z = times[: len(seen)], z[seen]
+        of_parts = self._gaps.to_obstacles(
+            z[:, :3], placed.centre[seen], around.placed(times - around.time)
+        )
         return self._beside(times, z[:, PATH_PARAMETER], of_parts, around)
 
     def _beside(

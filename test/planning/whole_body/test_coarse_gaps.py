@@ -38,7 +38,7 @@ def test_no_gap_is_overestimated_nor_much_underestimated(seed, monkeypatch):
 
     placed = GAPS.spheres.place(random.uniform(-1.5, 1.5, (40, 6)))
     centre = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
-    exact = GAPS.to_obstacles(poses, placed, around)[:, 1:]
+    exact = GAPS.to_obstacles(poses, placed.centre, around)[:, 1:]
     monkeypatch.setattr("omniman_ros.planning.whole_body.coarse_gaps.BATCH", 5000)
     least, sphere, obstacle = COARSE.spheres_least(centre, around)
     true = exact.reshape(40, -1).min(axis=1)
