@@ -25,6 +25,8 @@ REST_SPAN = 1e-3  #: Shortest part of a motion that has ended [s]
 
 #: Returns a motion that is followed up to a time [s], and then braked to rest
 Brake = Callable[[HermiteTrajectory, float], HermiteTrajectory]
+#: Does the same for each of several times [s]
+Brakings = Callable[[HermiteTrajectory, Sequence[float]], Iterable[HermiteTrajectory]]
 
 
 class MotionCheck(Protocol):
@@ -67,6 +69,7 @@ class MotionChooser:
         now: Time from which motions are checked [s].
         ready: Time at which the choice takes over, from which the last motion may brake [s].
         attempts: Largest number of brakings of a motion that are tried, evenly spaced.
+        brakings: How a motion is braked at several times, where that is cheaper together.
     """
 
     check: MotionCheck
@@ -74,6 +77,7 @@ class MotionChooser:
     now: float
     ready: float
     attempts: int | None = None
+    brakings: Brakings | None = None
 
     def choose(
         self,
@@ -120,8 +124,9 @@ class MotionChooser:
             # The last ones are too late for a braking.
             nodes = nodes[np.linspace(0, len(nodes) - 1, self.attempts + 1)[:-1].astype(int)]
         # To brake earlier need not be safer if an obstacle comes from behind.
-        for begin in nodes[::-1].tolist():
-            shorter = self.brake(motion, begin)
+        begins = nodes[::-1].tolist()
+        one_by_one = (self.brake(motion, begin) for begin in begins)
+        for shorter in self.brakings(motion, begins) if self.brakings else one_by_one:
             if self.check.contact(shorter, self.now) == math.inf:
                 return shorter
         return None

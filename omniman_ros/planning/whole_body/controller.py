@@ -1,7 +1,7 @@
 """Receding-horizon control of platform and arm in the redundancy, with the tool on its path."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,7 +112,13 @@ class WholeBodyController:
         self._brakes_from = {} if known is None else {last.end: known}
         evades, faults = not self._follows_plan, list[str]()
         plans = self._plans(due, way, around, faults, evades=evades)
-        chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS)
+
+        def brakings(motion: HermiteTrajectory, times: Sequence[float]) -> list[HermiteTrajectory]:
+            shorter = self._braked_each(motion, times)
+            check.judge([*shorter, last], now)  # the last motion is what comes next
+            return shorter
+
+        chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS, brakings)
         self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
         self.motion = choice.motion
         found = check.first.obstruction if check.first is not None else None
@@ -168,15 +174,33 @@ class WholeBodyController:
 
         One that brakes already is returned as it is: to brake it again would be harder.
         """
-        if time >= min(self._brakes_from.get(motion.end, math.inf), motion.end):
-            return motion  # it brakes already, and all motions end at rest
-        z, rates = motion.sample(time)
-        if not np.abs(rates).max() > 0.0:
+        return self._braked_each(motion, [time])[0]
+
+    def _braked_each(
+        self, motion: HermiteTrajectory, times: Sequence[float]
+    ) -> list[HermiteTrajectory]:
+        """Return what `braked` does for each of several times [s]."""
+        brakes = min(self._brakes_from.get(motion.end, math.inf), motion.end)
+        if all(time >= brakes for time in times):
+            return [motion] * len(times)  # it brakes already, and all motions end at rest
+        z, rates = motion.at(np.array(times))
+        at = self._redundancy.configurations(z)
+        speeds = np.abs(np.hstack([rates[:, :3], np.einsum("kij,kj->ki", at.rates, rates)]))
+        fractions = speeds / (BRAKING_LIMIT_FRACTION * self._limits.acceleration)
+        durations = np.maximum(LEAST_BRAKING, np.nan_to_num(fractions, nan=1.0).max(axis=1))
+        is_moving = np.abs(rates).max(axis=1) > 0.0
+        each = zip(times, durations.tolist(), is_moving.tolist(), strict=True)
+        return [
+            motion if time >= brakes else self._slowed(motion, time, duration, moves=moves)
+            for time, duration, moves in each
+        ]
+
+    def _slowed(
+        self, motion: HermiteTrajectory, time: float, duration: float, *, moves: bool
+    ) -> HermiteTrajectory:
+        """Return a motion that from a time [s] on comes to rest within a duration [s]."""
+        if not moves:
             return motion.between(motion.start, max(time, motion.start + PERIOD))
-        at = self._redundancy.configurations(z[None])
-        speeds = np.abs(np.concatenate([rates[:3], (at.rates[0] @ rates)]))
-        fraction = speeds / (BRAKING_LIMIT_FRACTION * self._limits.acceleration)
-        duration = max(LEAST_BRAKING, float(np.nan_to_num(fraction, nan=1.0).max()))
         count = max(2, math.ceil(duration / BRAKING_NODE))
         elapsed = np.linspace(0.0, duration, count + 1)
         # Time on the motion goes by at a rate that falls linearly from 1 to 0.

@@ -29,8 +29,10 @@ def shifted(y, step):
 
 
 def test_small_approaches_do_not_add_up_and_who_is_too_near_may_leave(task):
-    check = task.controller._check
     around = posts((0.0, -0.6))
+
+    def judged(motion):
+        return task.controller._check.judge([motion], 0.0, 0.1, around)[0]
 
     def gap(y):
         pose = np.array([[0.0, y, 0.0]])
@@ -38,14 +40,14 @@ def test_small_approaches_do_not_add_up_and_who_is_too_near_may_leave(task):
 
     y = 0.0
     assert gap(y) > SETUP.dodge.least_clearance
-    while y > -0.2 and check.judge(shifted(y, -STEP), 0.0, 0.1, around).is_clear:
+    while y > -0.2 and judged(shifted(y, -STEP)).is_clear:
         y -= STEP
     least = SETUP.dodge.least_clearance - CONSUMED
     assert least - 1e-5 <= gap(y) < least + STEP
     for nearer in (0.5 * CONSUMED, 3.0 * CONSUMED):
         y = y - (gap(y) - (SETUP.dodge.least_clearance - nearer))
-        assert check.judge(shifted(y, STEP), 0.0, 0.1, around).is_clear, "it leaves"
-    verdict = check.judge(shifted(y, -0.1 * STEP), 0.0, 0.1, around)
+        assert judged(shifted(y, STEP)).is_clear, "it leaves"
+    verdict = judged(shifted(y, -0.1 * STEP))
     assert not verdict.is_clear and verdict.obstructed_at <= 0.1
 
 
