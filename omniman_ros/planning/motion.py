@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
@@ -86,23 +87,31 @@ class HermiteTrajectory(Validated):
         index = np.clip(
             np.searchsorted(self.times, times, side="right") - 1, 0, len(self.times) - 2
         )
-        span = (self.times[index + 1] - self.times[index])[:, None]
-        t = np.clip(times - self.times[index], 0.0, span[:, 0])[:, None]
-        x0, x1 = self.poses[index], self.poses[index + 1]
-        v0, v1 = self.velocities[index], self.velocities[index + 1]
-        # Cubic Hermite coefficients of u^2 and u^3.
-        gap, change, u = x1 - x0 - v0 * span, (v1 - v0) * span, t / span
-        c2, c3 = 3.0 * gap - change, change - 2.0 * gap
-        poses = x0 + v0 * t + u * u * (c2 + u * c3)
-        velocities = v0 + u / span * (2.0 * c2 + 3.0 * u * c3)
+        span = self.times[index + 1] - self.times[index]
+        t = np.clip(times - self.times[index], 0.0, span)
+        poses, velocities = self._within(index, span[:, None], t[:, None])
         outside = (times < self.start) | (times > self.end)
         velocities[outside] = 0.0
         return poses, velocities
 
     def sample(self, time: float) -> tuple[Array, Array]:
         """Return pose and velocity (3,) at a time [s]."""
-        poses, velocities = self.at(np.array([time]))
-        return poses[0], velocities[0]
+        k = int(self.times.searchsorted(time, side="right")) - 1
+        k = min(max(k, 0), len(self.times) - 2)
+        begin, end = self.times[k : k + 2].tolist()
+        span = end - begin
+        pose, velocity = self._within(k, span, min(max(time - begin, 0.0), span))
+        return pose, velocity if self.start <= time <= self.end else np.zeros_like(velocity)
+
+    def _within(
+        self, k: NDArray[np.intp] | int, span: Array | float, t: Array | float
+    ) -> tuple[Array, Array]:
+        """Return poses and velocities at times t after nodes k, with spans to the next [s]."""
+        x0, v0 = self.poses[k], self.velocities[k]
+        # Cubic Hermite coefficients of u^2 and u^3.
+        gap, change = self.poses[k + 1] - x0 - v0 * span, (self.velocities[k + 1] - v0) * span
+        c2, c3, u = 3.0 * gap - change, change - 2.0 * gap, t / span
+        return x0 + v0 * t + u * u * (c2 + u * c3), v0 + u / span * (2.0 * c2 + 3.0 * u * c3)
 
     def currents_at(self, time: float) -> Array:
         """Return the motor currents (n,) [A] at a time [s]; NaN where none are planned."""
