@@ -174,7 +174,7 @@ def test_a_tool_that_becomes_unreachable_is_reported(world, monkeypatch):
     def unreachable(*_: Any) -> Any:
         raise InputError("out of the arm's reach")
 
-    monkeypatch.setattr(world.node.motions.whole_body._tool, "window", unreachable)
+    monkeypatch.setattr(world.node.motions.whole_body._tool, "corrected", unreachable)
     world.run(0.2)
     assert (
         world.node.motions.whole_body.idle

@@ -18,7 +18,7 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
-from omniman_ros.motion.path.pace import Pace, Window, paced_window
+from omniman_ros.motion.path.pace import Pace, Window
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
@@ -230,7 +230,8 @@ class ToolStream:
         The times are equally spaced by a tick or several.
 
         Args:
-            sample: Returns x, x', x'' (k, 9) of the planned motion at motion times (k,) [s].
+            sample: Returns x, x', x'' (k, 9) of the planned motion at motion times (k,) [s]; the
+                derivatives of the joints are not used.
             plan_times: Returns the times (k,) of the tool's motion at motion times (k,) [s].
 
         Returns:
@@ -244,11 +245,16 @@ class ToolStream:
         padded = np.concatenate([times[:1] - step, times, times[-1:] + step])
         paced = pace.sample(padded)
         due = plan_times(paced.motion)
-        planned = paced_window(pace, sample, padded)
-        window = self.window(planned, due, float(paced.rate[0]))
-        offset = window.positions[0, JOINT_COLUMNS] - planned.positions[1, JOINT_COLUMNS]
-        self._arm_offset = offset
-        return window, self.plan.tool(due[1:2])[0]
+        planned = Window(padded, *paced.apply(*sample(paced.motion)))
+        tool, near = self.plan.tool(due), planned.positions[:, JOINT_COLUMNS]
+        platform = self.correction.platform_at(planned.positions[:, PLATFORM_COLUMNS], padded)
+        arm = corrected_arm_motion(self._model, platform, tool, self.plan.branch, near, step)
+        self._joint_pace = joint_speed_pace(arm[1], self._velocity, float(paced.rate[0]))
+        self._arm_offset = arm[0][0] - near[1]
+        whole = (planned.positions, planned.velocities, planned.accelerations)
+        parts = zip(whole, arm, strict=True)
+        joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
+        return Window(times, *joined), tool[1]
 
     def offset(self, planned: Window) -> Window:
         """Return a planned motion (k, 9) whose arm keeps the correction of the last stretch."""
@@ -267,30 +273,6 @@ class ToolStream:
             return ""
         x, y, theta = self.correction.error
         return f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
-
-    def window(self, planned: Window, plan_times: Array, rate: float) -> Window:
-        """Replace the arm's part of a planned motion by the corrected one.
-
-        Args:
-            planned: All axes (k + 2, 9), from a point before the result to one after it.
-            plan_times: (k + 2,) times of the plan [s].
-            rate: Present pace, 0 to 1.
-
-        Returns:
-            The corrected motion (k, 9).
-        """
-        platform = self.correction.platform_at(
-            planned.positions[:, PLATFORM_COLUMNS], planned.times
-        )
-        tool, near = self.plan.tool(plan_times), planned.positions[:, JOINT_COLUMNS]
-        arm = corrected_arm_motion(
-            self._model, platform, tool, self.plan.branch, near, _spacing(planned.times)
-        )
-        self._joint_pace = joint_speed_pace(arm[1], self._velocity, rate)
-        whole = (planned.positions, planned.velocities, planned.accelerations)
-        parts = zip(whole, arm, strict=True)
-        joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
-        return Window(planned.times[1:-1], *joined)
 
 
 def _spacing(times: Array) -> float:

@@ -210,7 +210,7 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
         times = time_base.sample_times(horizon)[:: self.spacing]
         try:
             window, tool = self._tool.corrected(
-                times, time_base.pace, core.sample, core.plan_times
+                times, time_base.pace, self._planned, core.plan_times
             )
         except InputError as error:
             self.give_up(str(error), brake=True)
@@ -218,6 +218,10 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
         self._tool_reference.send(float(times[0]), tool)
         self._corrected_at = self._node.now()
         self.output.send(window, platform=platform)
+
+    def _planned(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, 9) for the correction, see `ToolStream.corrected`."""
+        return self.core.sample(times)
 
     def _stop_window(self, now: float) -> Window | None:
         """Return the stretch that leads to rest, on which the arm keeps its present correction."""

@@ -107,6 +107,9 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         """Highest pace, 0 to 1; the robot stands while it does not know what is around it."""
         return 0.0 if not self.idle and self._surroundings.silence_reason() else super().max_pace
 
+    def _planned(self, times: Array) -> tuple[Array, Array, Array]:
+        return self.core.planned(times)
+
     def publish(self, horizon: float, *, platform: bool = True) -> None:
         """Publish previews of both parts, or of the arm alone, until the robot rests on its path.
 

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.pace import LEAD, LimitUsage, Pace, Window
@@ -161,16 +162,28 @@ class AvoidanceMotion:
         else:
             self.abort()
 
+    def planned(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return what `sample` does, with zeros for the derivatives of the joints."""
+        z, rates, change = self._platform_motion(times)
+        none = np.zeros((len(times), JOINTS))
+        v, a = (np.hstack([each[:, :PATH_PARAMETER], none]) for each in (rates, change))
+        return self.task.redundancy.axes(z), v, a
+
+    def _platform_motion(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return z, z', z'' (k, 4) of the motion under way at motion times (k,) [s]."""
+        half = 0.5 * TICK
+        z, rates = self.sent.at(np.concatenate([times, times + half, times - half]))
+        # Rates change by steps in their derivative: its mean over a tick is smooth enough.
+        here, ahead, behind = np.split(rates, 3)
+        return z[: len(times)], here, (ahead - behind) / TICK
+
     def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x, x', x'' (k, 9) of the motion under way at increasing motion times (k,) [s].
 
         The joints' x'' is the difference quotient of their x', and zero at a single time.
         """
-        redundancy, motion = self.task.redundancy, self.sent
-        z, rates = motion.at(times)
-        # Rates change by steps in their derivative: its mean over a tick is smooth enough.
-        change = (motion.at(times + 0.5 * TICK)[1] - motion.at(times - 0.5 * TICK)[1]) / TICK
-        at = redundancy.configurations(z)
+        z, rates, change = self._platform_motion(times)
+        at = self.task.redundancy.configurations(z)
         joint_rates = np.einsum("kij,kj->ki", at.rates, rates)
         joint_change = _slopes(times, joint_rates)
         return (
