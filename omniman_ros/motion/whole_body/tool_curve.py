@@ -124,9 +124,11 @@ class ToolCurve:
         rotation = _upright(c[:, 3])
         swing, rate, bend = c[:, 4:], first[:, 4:], second[:, 4:]
         step = SMALL
-        ahead = _swing_rate(swing + step * (rate + 0.5 * step * bend), rate + step * bend)
-        behind = _swing_rate(swing - step * (rate - 0.5 * step * bend), rate - step * bend)
-        spin = _rotated(rotation, _swing_rate(swing, rate))
+        turn, half = step * bend, 0.5 * step * step * bend
+        swings = np.concatenate([swing, swing + step * rate + half, swing - step * rate + half])
+        spins = _swing_rate(swings, np.concatenate([rate, rate + turn, rate - turn]))
+        here, ahead, behind = np.split(spins, 3)
+        spin = _rotated(rotation, here)
         change = _rotated(rotation, (ahead - behind) / (2.0 * step))
         psi = first[:, 3:4]
         omega = spin.copy()

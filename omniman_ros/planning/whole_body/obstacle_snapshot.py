@@ -83,13 +83,16 @@ class ObstacleSnapshot(Validated):
     def selected(self, standing: Indices, moving: Indices) -> "ObstacleSnapshot":
         """Return some of the obstacles by their numbers among those that stand and that move."""
         labels, still = self.labels(), len(self.standing)
-        return ObstacleSnapshot(
-            self.time,
-            self.standing.select(standing),
-            MovingObstacles(self.moving.obstacles.select(moving), self.moving.velocity[:, moving]),
-            self.growth[moving],
-            self.pace,
-            tuple(labels[k] for k in (*standing.tolist(), *(still + moving).tolist())),
+        return ObstacleSnapshot.unchecked(
+            time=self.time,
+            standing=self.standing.select(standing),
+            moving=MovingObstacles.unchecked(
+                obstacles=self.moving.obstacles.select(moving),
+                velocity=self.moving.velocity[:, moving],
+            ),
+            growth=self.growth[moving],
+            pace=self.pace,
+            names=tuple(labels[k] for k in (*standing.tolist(), *(still + moving).tolist())),
         )
 
     def labels(self) -> tuple[str, ...]:
