@@ -236,7 +236,7 @@ class Previews:
         message = self._message
         points = min(len(window.times), MAX_POINTS)
         step = float(window.times[1] - window.times[0])
-        if points != len(message.points) or not np.isclose(step, self._step, rtol=1e-3):
+        if points != len(message.points) or not math.isclose(step, self._step, rel_tol=1e-3):
             message, self._step = self._make(points, step), step
             self._message = message
         self._fill(message, self._node.stamp(window.times[0]), window)

@@ -245,14 +245,13 @@ class ToolStream:
         padded = np.concatenate([times[:1] - step, times, times[-1:] + step])
         paced = pace.sample(padded)
         due = plan_times(paced.motion)
-        planned = Window(padded, *paced.apply(*sample(paced.motion)))
-        tool, near = self.plan.tool(due), planned.positions[:, JOINT_COLUMNS]
-        platform = self.correction.platform_at(planned.positions[:, PLATFORM_COLUMNS], padded)
+        planned = paced.apply(*sample(paced.motion))
+        tool, near = self.plan.tool(due), planned[0][:, JOINT_COLUMNS]
+        platform = self.correction.platform_at(planned[0][:, PLATFORM_COLUMNS], padded)
         arm = corrected_arm_motion(self._model, platform, tool, self.plan.branch, near, step)
         self._joint_pace = joint_speed_pace(arm[1], self._velocity, float(paced.rate[0]))
         self._arm_offset = arm[0][0] - near[1]
-        whole = (planned.positions, planned.velocities, planned.accelerations)
-        parts = zip(whole, arm, strict=True)
+        parts = zip(planned, arm, strict=True)
         joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
         return Window(times, *joined), tool[1]
 
