@@ -64,7 +64,8 @@ def facing_gap(
         c, s = np.cos(box.yaw), np.sin(box.yaw)
         x, y = c * x + s * y, c * y - s * x
         a, b = box.half[..., 0], box.half[..., 1]
-        x, y = x - np.clip(x, -a, a), y - np.clip(y, -b, b)
+        x = x - np.maximum(np.minimum(x, a), -a)
+        y = y - np.maximum(np.minimum(y, b), -b)
         turn = angles - box.yaw - poses[:, 2:]
         c, s = np.cos(turn), np.sin(turn)
         distance = np.hypot(x, y)
