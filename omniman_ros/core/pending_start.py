@@ -9,9 +9,6 @@ from omniman_ros.core.stream_monitor import StreamMonitor
 
 WAIT_TIMEOUT = 5.0  #: Longest time for which a motion waits until the robot can start it [s]
 HANDOVER_TIME = 1.0  #: Longest time for which it waits for the end of another source's motion [s]
-#: Longest time between two attempts that counts as waiting [s]. In a longer one the node heard
-#: nothing: it stood still, or its clock leapt, as simulated time does when it begins for a node.
-LONGEST_STEP = 0.2
 
 
 class StartState(enum.Enum):
@@ -42,7 +39,7 @@ class PendingStart:
     def __init__(self, clock: Callable[[], float], stream_monitor: StreamMonitor) -> None:
         self._clock, self._stream_monitor = clock, stream_monitor
         self._start: Callable[[], None] | None = None
-        self._attempted = self._waited = self._patience = 0.0
+        self._since = self._deadline = self._handover = 0.0
 
     def __bool__(self) -> bool:
         return self._start is not None
@@ -53,9 +50,14 @@ class PendingStart:
         self.restart_timeout()
 
     def restart_timeout(self) -> None:
-        """Let the pending motion wait for the whole timeout from now on."""
-        self._attempted, self._waited = self._clock(), 0.0
-        self._patience = WAIT_TIMEOUT + self._stream_monitor.waiting_time(self._attempted)
+        """Let the pending motion wait for the whole timeout from now on.
+
+        On a clock that reads zero, as simulated time does until a node has heard it, the timeout
+        begins with the first time.
+        """
+        now = self._since = self._clock()
+        self._handover = now + HANDOVER_TIME
+        self._deadline = now + WAIT_TIMEOUT + self._stream_monitor.waiting_time(now)
 
     def discard(self) -> bool:
         """Discard the pending motion, and return whether there was one."""
@@ -68,20 +70,20 @@ class PendingStart:
         The motion is refused at once for a reason in `refusal`, after `HANDOVER_TIME` if that is
         one which may pass (`StreamMonitor.passing_reason`), and after the timeout for one that
         `blocking_reason` returns, or while the controller is not heard. The motion is no longer
-        pending unless the outcome is that it is still waiting. To be called in each of the node's
-        cycles.
+        pending unless the outcome is that it is still waiting.
         """
         if self._start is None:
             return StartAttempt(StartState.NOTHING_PENDING)
-        last, self._attempted = self._attempted, self._clock()
-        self._waited += min(max(self._attempted - last, 0.0), LONGEST_STEP)
-        reason, monitor, is_patient = refusal, self._stream_monitor, self._waited < self._patience
-        passes = reason == monitor.passing_reason and self._waited < HANDOVER_TIME
-        if reason and (passes or (monitor.is_unheard and is_patient)):
+        if not self._since:
+            self.restart_timeout()
+        now, reason = self._clock(), refusal
+        monitor = self._stream_monitor
+        passes = reason == monitor.passing_reason and now < self._handover
+        if reason and (passes or (monitor.is_unheard and now < self._deadline)):
             return StartAttempt(StartState.WAITING, reason)
         if not reason:
             reason = blocking_reason()
-            if reason and is_patient:
+            if reason and now < self._deadline:
                 return StartAttempt(StartState.WAITING, reason)
         start, self._start = self._start, None
         if not reason:
