@@ -7,6 +7,7 @@ import socket
 import tempfile
 import time
 from collections.abc import MutableMapping
+from contextlib import suppress
 from pathlib import Path
 
 #: Domains whose ports lie above the ephemeral ports of Linux; they are rarely used
@@ -36,15 +37,14 @@ def is_free(domain: int) -> bool:
 def _reserve(domain: int) -> bool:
     """Reserve a domain for `RESERVATION`; return False if this or another process has done so."""
     folder = Path(tempfile.gettempdir(), f"omniman_ros_domains_{os.getuid()}")
-    folder.mkdir(exist_ok=True)
-    with open(folder / str(domain), "a+") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
-        file.seek(0)
-        last, now = file.read(), time.time()
-        if last and 0.0 <= now - float(last) < RESERVATION:
-            return False
-        file.truncate(0)
-        file.write(str(now))
+    with suppress(OSError):  # without a place for it, nothing is reserved
+        folder.mkdir(exist_ok=True)
+        with open(folder / str(domain), "a") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            known = os.fstat(file.fileno())
+            if known.st_size and 0.0 <= time.time() - known.st_mtime < RESERVATION:
+                return False
+            file.write(".")
     return True
 
 

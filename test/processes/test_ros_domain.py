@@ -1,8 +1,8 @@
+import os
 import socket
 import subprocess
 import sys
 import tempfile
-import time
 
 import pytest
 
@@ -61,11 +61,18 @@ def test_a_domain_that_was_chosen_is_chosen_again_when_its_processes_had_time(
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(ros_domain, "HIGH_DOMAINS", range(215, 216))
     monkeypatch.setattr(ros_domain, "is_free", lambda domain: True)
-    now = 1e9
-    monkeypatch.setattr(time, "time", lambda: now)
     assert free_domain() == 215 != free_domain()
-    now += RESERVATION + 1.0
+    (reservation,) = tmp_path.glob("*/215")
+    long_ago = reservation.stat().st_mtime - RESERVATION - 1.0
+    os.utime(reservation, (long_ago, long_ago))
     assert free_domain() == 215
+
+
+def test_a_domain_is_found_where_nothing_can_be_reserved(monkeypatch, tmp_path):
+    (tmp_path / f"omniman_ros_domains_{os.getuid()}").write_text("a file")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(ros_domain, "is_free", lambda domain: domain == 220)
+    assert free_domain() == 220
 
 
 def test_low_domains_are_used_when_all_high_ones_are_taken(monkeypatch, tmp_path):
