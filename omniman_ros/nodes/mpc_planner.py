@@ -109,7 +109,7 @@ class MpcPlannerNode(OmnimanNode):
             self._compiled.close()
         if self.settings.value.planner.compile == "auto":
             self._compiled = compiled_functions.CompiledFunctions(
-                self.core.solvers.all,
+                self.core.solvers,
                 compiled_functions.default_folder(),
                 self.get_logger().info,
             )

@@ -1,7 +1,7 @@
 """Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -48,10 +48,8 @@ class SolverPool:
             for confined in (False, True)
         }
 
-    @property
-    def all(self) -> Collection[Solver]:
-        """All solvers, those without a border first."""
-        return [self._solvers[key] for key in sorted(self._solvers, key=lambda key: key[::-1])]
+    def __iter__(self) -> Iterator[Solver]:
+        return iter(self._solvers.values())
 
     def select(self, obstacles: bool, walls: bool, confined: bool) -> Solver:
         """Return the smallest solver with room for obstacles, for walls, or for neither.

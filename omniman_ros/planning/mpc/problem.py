@@ -28,7 +28,7 @@ STANDING_SPEED = 0.05  #: Speed below which an obstacle counts as being at rest 
 CAUTIOUS_SPEED = 0.2  #: Speed that is always allowed, however close a moving obstacle is [m/s]
 #: Number of obstacles, the nearest by their centres, whose gaps are computed at each step
 DETAILED_OBSTACLES = 48
-#: Ratio of the robot's speed to its limit that no plan exceeds [-]
+#: Ratio of a plan's speed to its limit that is allowed for where its reach counts [-]
 SPEED_EXCESS = 1.1
 VOLTAGE_HEADROOM = 0.02  #: Part by which the voltage limit exceeds the back-EMF of the start [-]
 

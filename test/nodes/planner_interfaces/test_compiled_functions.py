@@ -2,6 +2,7 @@
 
 import shutil
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,12 +67,14 @@ def test_functions_are_compiled_once_and_return_the_same(tmp_path, monkeypatch):
 
 
 @needs_compiler
-@pytest.mark.parametrize("kind", ["other", "garbage"])
+@pytest.mark.parametrize("kind", ["other", "garbage", "truncated", "empty"])
 def test_a_library_that_is_not_what_its_name_says_is_not_used(tmp_path, kind):
     finished(a_solver(), tmp_path)
     (library,) = tmp_path.iterdir()
-    if kind == "garbage":
-        library.write_bytes(b"garbage")
+    whole = library.read_bytes()
+    damaged = {"garbage": b"garbage", "truncated": whole[: len(whole) // 2], "empty": b""}
+    if kind in damaged:
+        library.write_bytes(damaged[kind])
     else:
         finished(a_solver(damping=1.0), tmp_path)
         (other,) = set(tmp_path.iterdir()) - {library}
@@ -82,6 +85,21 @@ def test_a_library_that_is_not_what_its_name_says_is_not_used(tmp_path, kind):
     assert "virtual machine: " in said and functions(solver) == before
     assert not library.exists()
     assert "compiled functions" in finished(solver, tmp_path)[0], "made anew at the next start"
+
+
+@needs_compiler
+def test_what_a_compiler_that_was_killed_leaves_is_not_used(tmp_path, monkeypatch):
+    killed = 'echo part > "$6"; kill -9 $$'  # $0 is the compiler; four options and -o
+    monkeypatch.setattr(compiled_functions, "NICE", ("sh", "-c", killed))
+    solver = a_solver()
+    before = functions(solver)
+    (said,) = finished(solver, tmp_path / "folder")
+    assert "cc has failed" in said and functions(solver) == before
+    assert not (tmp_path / "folder").exists()
+
+
+def test_without_a_home_it_is_said_once_and_nothing_changes():
+    assert "no home folder" in finished(a_solver(), Path("~/.cache"))[0]
 
 
 def test_without_a_compiler_it_is_said_once_and_nothing_changes(tmp_path, monkeypatch):
