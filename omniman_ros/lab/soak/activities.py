@@ -70,7 +70,8 @@ class Activities:
     def _show_obstacles(self) -> None:
         """Tell of the obstacles as a sensor on the robot sees them, whatever odometry says."""
         truth, believed = self._robot.truth.pose, self._player.driver.pose
-        if truth is None or believed is None:
+        # Closing the client spins the node, and so calls this timer.
+        if truth is None or believed is None or not self.client.is_open:
             return
         for k, (x, y, radius) in enumerate(OBSTACLES.tolist()):
             seen_x, seen_y = self._in_odom(np.array([x, y])).tolist()
