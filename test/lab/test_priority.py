@@ -43,3 +43,24 @@ def test_a_kernel_without_groups_of_processes_permits_it(idle, tmp_path):
 
 def test_a_process_that_is_gone_has_no_niceness():
     assert not set_niceness(999999999, 7)
+
+
+@pytest.mark.processes
+def test_a_process_takes_its_own_niceness_back(tmp_path):
+    account = tmp_path / "self" / "autogroup"
+    account.parent.mkdir()
+    account.write_text("/autogroup-12 nice 3\n")
+    code = (
+        "import os, sys\nfrom pathlib import Path\n"
+        "from omniman_ros.lab.priority import own_niceness\n"
+        "root = Path(sys.argv[1])\n"
+        "def look(): print(os.getpriority(0, 0), (root / 'self' / 'autogroup').read_text())\n"
+        "os.nice(2)\n"
+        "with own_niceness(7, root): look()\n"
+        "look()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True
+    )
+    expected = ["7 7", "2 3"] if os.geteuid() == 0 else ["7 7", "7 3"]
+    assert done.stdout.splitlines() == expected

@@ -16,10 +16,12 @@ from omniman_ros.console.terminal import RED, paint, say
 from omniman_ros.lab.bench.harness import Rows, tables
 from omniman_ros.lab.faults.judge import UNKNOWN, StopMeasurement
 from omniman_ros.lab.faults.player import Player
+from omniman_ros.lab.faults.robot_processes import NICENESS
 from omniman_ros.lab.faults.rows import Row
 from omniman_ros.lab.faults.running_robot import RunningRobot
 from omniman_ros.lab.faults.table import ROWS
 from omniman_ros.lab.faults.trial import Trial, play
+from omniman_ros.lab.priority import own_niceness
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import redirect_signals
@@ -98,7 +100,7 @@ def measure(
             params=SHORT_TIMEOUTS,
         )
         robot = RunningRobot(session, setup, UNNEEDED, log)
-        with redirect_signals(robot.interrupt), robot.processes:
+        with redirect_signals(robot.interrupt), own_niceness(NICENESS), robot.processes:
             player = Player(robot)
             robot.follow_clock()
             for row in rows:

@@ -20,8 +20,10 @@ from omniman_ros.demo.figures import obstacle_gaps
 from omniman_ros.lab.bench.harness import Rows, tables
 from omniman_ros.lab.faults.injections import STREAMING_PROCESS
 from omniman_ros.lab.faults.player import Player
+from omniman_ros.lab.faults.robot_processes import NICENESS
 from omniman_ros.lab.faults.running_robot import RunningRobot
 from omniman_ros.lab.faults.trial import LONGEST_HOLD_UP
+from omniman_ros.lab.priority import own_niceness
 from omniman_ros.lab.soak.activities import Activities
 from omniman_ros.lab.soak.usage import Usage, longest_life, usage, usage_figures
 from omniman_ros.lab.soak.waiting import LONGEST_WAIT, WaitingWatch
@@ -167,7 +169,7 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
     setup = RobotSetup(robot=robot_name, sim_time=sim_time, drive="can", collision_monitor=True)
     with Session("omniman_bench", sim_time=sim_time) as session:
         robot = RunningRobot(session, setup, LEFT_OUT, log)
-        with redirect_signals(robot.interrupt), robot.processes:
+        with redirect_signals(robot.interrupt), own_niceness(NICENESS), robot.processes:
             activities = Activities(Player(robot), seed)
             with activities.client:
                 watch = SoakWatch(robot, activities, half_size, limit)
@@ -192,7 +194,7 @@ def drive(robot: RunningRobot, activities: Activities, watch: SoakWatch, end: fl
         try:
             activities.perform()
         except (CommandError, OmnimanError) as error:
-            return str(error)
+            return f"{error}; the last report was {robot.truth.age:.1f} s old when it was read"
         watch.look()
         watch.note_stops()
         robot.release(READY_TIMEOUT)

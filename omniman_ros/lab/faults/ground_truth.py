@@ -1,5 +1,7 @@
 """Where the simulated robot really is."""
 
+import time
+
 import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
@@ -28,6 +30,8 @@ class GroundTruth:
         self._platform: list[tuple[float, ...]] = []
         self._arm: list[tuple[float, ...]] = []
         self._is_simulated, self._longest_lag = session.is_simulated, 0.0
+        #: How long ago the last report was sent when it was received [s]; 0 in simulated time
+        self.age = 0.0
         node = session.node
         subscribe_with_source_time(node, Odometry, "ground_truth/odom", self._on_odom, ALL)
         subscribe_with_source_time(
@@ -50,6 +54,7 @@ class GroundTruth:
     def _note_lag(self, at: float, sent: int) -> None:
         if not self._is_simulated:  # the middleware knows real time only
             self._longest_lag = max(self._longest_lag, sent * 1e-9 - at)
+            self.age = time.time() - sent * 1e-9
 
     def clear(self) -> None:
         """Forget what was recorded, but for the last report."""

@@ -81,3 +81,9 @@ def test_the_truth_is_known_up_to_an_instant_once_platform_and_arm_have_reached_
 
 def test_nothing_is_known_before_the_first_report():
     assert not Reports().truth.covers(0.0, arm=True)
+
+
+def test_a_report_that_is_read_late_is_old(reports, monkeypatch):
+    monkeypatch.setattr("time.time", lambda: 103.5)
+    reports.platform(30, 500)
+    assert reports.truth.age == pytest.approx(3.0)
