@@ -158,7 +158,7 @@ class MotionChooser:
 
 def rest_of(motion: HermiteTrajectory, now: float) -> HermiteTrajectory:
     """Return a motion from `HISTORY_TIME` before now [s] to its end, or itself if it is that."""
-    if motion.start >= now - HISTORY_TIME and motion.end > now + REST_SPAN:
+    if motion.start >= now - HISTORY_TIME and motion.end >= now + REST_SPAN:
         return motion
     begins = max(motion.start, now - HISTORY_TIME)
     return motion.between(begins, max(motion.end, now + REST_SPAN))

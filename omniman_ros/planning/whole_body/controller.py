@@ -110,8 +110,8 @@ class WholeBodyController:
         last = self.motion = rest_of(self.motion, now)
         known = self._brakes_from.get(last.end)
         self._brakes_from = {} if known is None else {last.end: known}
-        evades, faults = not self._follows_plan, list[str]()
-        plans = self._plans(due, way, around, faults, evades=evades)
+        guesses, faults = self._guesses(last, due), list[str]()
+        plans = self._plans(guesses, due, way, around, faults)
 
         def brakings(motion: HermiteTrajectory, times: Sequence[float]) -> list[HermiteTrajectory]:
             shorter = self._braked_each(motion, times)
@@ -122,29 +122,38 @@ class WholeBodyController:
         self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
         self.motion = choice.motion
         found = check.first.obstruction if check.first is not None else None
-        if len(faults) > evades:  # there was no plan to check
+        if len(faults) == len(guesses):  # there was no plan to check
             place = float(last.sample(due)[0][PATH_PARAMETER])
             found = Obstruction(Cause.PROGRAM, place, "", faults[0])
         return CycleOutcome(choice, check.verdict(choice.motion, now), found)
 
+    def _guesses(self, last: HermiteTrajectory, due: float) -> list[HermiteTrajectory]:
+        """Return the motions that plans from a time [s] on improve.
+
+        Where the last cycle had no clear plan, the second one is braking, which leads to an
+        evasion: from there, the robot is free to go elsewhere.
+        """
+        before = self._choice
+        if before is None or (before.is_clear and before.plan is not None):
+            return [last]
+        braked = self.braked(last, due)
+        return [last] if braked is last else [last, braked]
+
     def _plans(
         self,
+        guesses: Sequence[HermiteTrajectory],
         due: float,
         way: PlatformPath,
         around: ObstacleSnapshot,
         faults: list[str],
-        *,
-        evades: bool,
     ) -> Iterator[HermiteTrajectory]:
         """Yield new plans from a time [s] on, and append to `faults` why one is missing.
 
-        Where the last cycle had no clear plan, the second one is an evasion: it improves on a
-        robot that brakes at once, and so is free to go elsewhere. It is made if it is asked for.
+        Each is made if it is asked for.
         """
         last = self.motion
         before = last.between(last.start, due)
-        for is_evasion in range(1 + evades):
-            guess = self.braked(last, due) if is_evasion else last
+        for guess in guesses:
             times: Array = due + self._step * np.arange(self._options.steps + 1.0)
             z, rates = guess.at(times)
             controls = np.diff(rates, axis=0) / self._step
@@ -162,12 +171,6 @@ class WholeBodyController:
                 currents=np.zeros((self._options.steps, 0)),
             )
             yield before.then(plan)
-
-    @property
-    def _follows_plan(self) -> bool:
-        """Whether the last cycle had a plan that could be followed."""
-        before = self._choice
-        return before is None or (before.is_clear and before.plan is not None)
 
     def braked(self, motion: HermiteTrajectory, time: float) -> HermiteTrajectory:
         """Return a motion that from a time [s] on is slowed down to rest on its own way.

@@ -17,7 +17,7 @@ from omniman_ros.planning.whole_body.program import (
     STANDING,
     STATES,
     Quadratic,
-    RedundancyProgram,
+    ReducedProgram,
     StageRows,
 )
 from omniman_ros.planning.whole_body.redundancy import (
@@ -91,7 +91,7 @@ class Linearisation:
         self._signs = resolver.signs(redundancy.centre)
         self._corners = CornerSpeeds(redundancy.path, (1.0 - reserve) * acceleration)
         count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels) + 3
-        self._program = RedundancyProgram(
+        self._program = ReducedProgram(
             options.steps, options.step, count, SLACK_LINEAR, SLACK_QUADRATIC
         )
 

@@ -6,8 +6,10 @@ import pytest
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.program import (
+    CRITICAL,
     STATES,
     Quadratic,
+    ReducedProgram,
     RedundancyProgram,
     StageRows,
     transition,
@@ -28,7 +30,8 @@ def test_the_steps_of_a_program_obey_the_dynamics_exactly_and_its_rows():
     program = RedundancyProgram(n, 0.1, 1, np.full(3, 1e3), np.full(3, 1e3))
     by_x = np.zeros((n, 1, STATES))
     by_x[:, 0, 0] = -1.0
-    rows = StageRows(np.full((n, 1), 0.02), by_x, np.zeros((n, 1, 4)), np.zeros((n, 1)))
+    slack = np.zeros((n, 1), dtype=np.intp)
+    rows = StageRows(np.full((n, 1), 0.02), by_x, np.zeros((n, 1, 4)), slack)
     wide = np.stack([np.full((n, 4), -5.0), np.full((n, 4), 5.0)])
     cost = Quadratic(
         np.tile(np.eye(STATES), (n, 1, 1)),
@@ -44,6 +47,34 @@ def test_the_steps_of_a_program_obey_the_dynamics_exactly_and_its_rows():
     assert step.states == pytest.approx(before @ a.T + step.controls @ b.T, abs=1e-6)
     assert step.states[:, 0].max() == pytest.approx(0.02, abs=1e-3)
     assert np.abs(step.controls).max() <= 5.0 + 1e-6
+
+
+@pytest.mark.parametrize("binding", [3, 20], ids=["few rows bind", "more bind than are chosen"])
+def test_a_reduced_program_has_the_solution_of_all_rows(binding, monkeypatch):
+    n, count, rng = 5, 40, np.random.default_rng(3)
+    weights = 0.1, count, np.full(3, 1e3), np.full(3, 1e3)
+    by_x = rng.normal(size=(n, count, STATES))
+    value = np.full((n, count), 200.0)  # out of reach
+    value[:, :binding] = rng.uniform(0.0, 0.01, (n, binding))
+    order = rng.permuted(np.tile(np.arange(count), (n, 1)), axis=1)
+    rows = StageRows(
+        value, by_x, rng.normal(size=(n, count, 4)), rng.integers(0, 3, (n, count))
+    ).selected(order)
+    cost = Quadratic(
+        np.tile(np.eye(STATES), (n, 1, 1)),
+        rng.normal(size=(n, STATES)),
+        np.full(4, 1e-2),
+        rng.normal(size=(n, 4)),
+        np.stack([np.full((n, 4), -5.0), np.full((n, 4), 5.0)]),
+        np.stack([np.full((n, STATES), -9.0), np.full((n, STATES), 9.0)]),
+    )
+    reduced, whole = ReducedProgram(n, *weights), RedundancyProgram(n, *weights)
+    calls, solve = [], reduced._all.solve
+    monkeypatch.setattr(reduced._all, "solve", lambda *it: calls.append(it) or solve(*it))
+    found, expected = reduced.solve(rows, cost), whole.solve(rows, cost)
+    assert found.states == pytest.approx(expected.states, abs=2e-4)
+    assert found.controls == pytest.approx(expected.controls, abs=2e-3)
+    assert len(calls) == (binding > CRITICAL)
 
 
 def test_rates_and_accelerations_of_the_joints_are_those_of_differences(task):

@@ -11,6 +11,7 @@ from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
@@ -75,21 +76,30 @@ def test_a_free_path_is_as_fast_as_its_limits_and_keeps_them_in_corners(corner):
     assert (joints < SETUP.limits.acceleration[3:]).all()
 
 
-def test_an_evasion_is_planned_only_where_the_last_plan_was_not_clear(monkeypatch):
+def test_an_evasion_is_planned_only_where_the_robot_followed_no_plan_and_moves(monkeypatch):
     task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
     line, guesses = task.controller._linearisation, []
     improved = line.improved
-    monkeypatch.setattr(line, "improved", lambda *it: guesses.append(it[1]) or improved(*it))
+
+    def improve(*arguments):
+        guesses.append(arguments[1])
+        if len(guesses) == 21:
+            raise SolverError("once")
+        return improved(*arguments)
+
+    monkeypatch.setattr(line, "improved", improve)
     drive(task, lambda now: ObstacleSnapshot(), 1.0)
     assert len(guesses) == 20
+    task.cycle(1.0, ObstacleSnapshot())
+    assert len(guesses) == 21
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
     near = posts((x + 0.34, y))  # nearer than the robot can brake
-    assert not task.cycle(1.0, near).choice.is_clear
-    guesses.clear()
-    task.cycle(1.0 + PERIOD, near)
-    assert len(guesses) == 2
-    assert np.abs(guesses[1]).sum() <= np.abs(guesses[0]).sum(), "the second one brakes"
+    assert task.cycle(1.0 + PERIOD, near).choice.is_braking
+    assert len(guesses) == 23
+    assert np.abs(guesses[22]).sum() < np.abs(guesses[21]).sum(), "the second one brakes"
+    task.cycle(1.0 + 2.0 * PERIOD, near)
+    assert len(guesses) == 24, "both would improve on the same motion that brakes"
 
 
 def test_the_robot_waits_for_a_walker_and_goes_on():
