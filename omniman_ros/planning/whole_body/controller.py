@@ -131,10 +131,12 @@ class WholeBodyController:
         """Return the motions that plans from a time [s] on improve.
 
         Where the last cycle had no clear plan, the second one is braking, which leads to an
-        evasion: from there, the robot is free to go elsewhere.
+        evasion: from there, the robot is free to go elsewhere. A robot that evades or brakes
+        already improves on what it does.
         """
         before = self._choice
-        if before is None or (before.is_clear and before.plan is not None):
+        follows_plan = before is None or (before.is_clear and before.plan is not None)
+        if follows_plan or (before is not None and before.is_evasion):
             return [last]
         braked = self.braked(last, due)
         return [last] if braked is last else [last, braked]
