@@ -1,5 +1,6 @@
 """MPC planner, controller and slipping plant in a closed loop in simulated time."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 PLANNER_PERIOD = 0.05  #: period of the planner [s]
 OBSERVATION_PERIOD = 0.05  #: period of the observations of obstacles [s]
-SOLVE_TICKS = 2  #: simulated duration of planning in a cycle, in ticks
+SOLVE_TICKS = 2  #: simulated duration of planning in a cycle that is not timed, in ticks
 #: Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
 #: origin, for 50 ms.
 WARM_UP_TICKS = 12
@@ -60,6 +61,9 @@ class LoopOptions:
     #: the obstacles are observed themselves.
     observe: Callable[["MpcLoop"], None] | None = None
     on_tick: Callable[["MpcLoop"], None] | None = None  #: called after each tick of the controller
+    #: Whether planning lasts in the simulation what the timer measures: an answer counts once it
+    #: is there, and a cycle begins at the first multiple of the period after the one before.
+    timed: bool = False
 
 
 class MpcLoop:
@@ -114,24 +118,32 @@ class MpcLoop:
         """Run one cycle of the planner, and the ticks of the controller until the next cycle."""
         self._observe()
         now, planner, timer = self.now, self.planner, self.options.timer
-        ticks = round(PLANNER_PERIOD / PERIOD)
+        begin_tick, period = self.loop.tick, round(PLANNER_PERIOD / PERIOD)
         planning_time = cycle_time = 0.0
         if planner.active:
             begin = timer()
             proposal = planner.propose(now, self.measured(), self.observed.ellipses(now))
             planning_time = timer() - begin
-            for _ in range(SOLVE_TICKS):
-                self._step()
+            self._step_until(begin_tick + self._ticks(planning_time))
             begin = timer()
             planner.take(proposal, self.now, self.measured(), self.observed.ellipses(self.now))
             planning_time += timer() - begin
+            self._step_until(begin_tick + self._ticks(planning_time))
+            self._publish()
             begin = timer()
             planner.update_route(self.now, self.observed.ellipses(self.now))
             cycle_time = planning_time + timer() - begin
-            ticks -= SOLVE_TICKS
-            self._publish()
         self._record(planning_time, cycle_time)
-        for _ in range(ticks):
+        ticks = self._ticks(cycle_time)
+        self._step_until(begin_tick + period * max(math.ceil(ticks / period), 1))
+
+    def _ticks(self, duration: float) -> int:
+        """Return the number of ticks after which what took a time [s] counts as done."""
+        return math.ceil(duration / PERIOD) if self.options.timed else SOLVE_TICKS
+
+    def _step_until(self, tick: int) -> None:
+        """Run ticks of controller and plant until a number of them."""
+        while self.loop.tick < tick:
             self._step()
 
     def _step(self) -> None:
