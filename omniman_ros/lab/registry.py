@@ -124,8 +124,9 @@ BENCHMARKS = {
     ),
     "crowd": Study(
         "bench.crowd",
-        "the planner among 20 moving discs: goals per minute, contacts, CPU time",
-        (worlds(6), JOBS, SEED),
+        "the planner among 20 discs that see nobody or give way, beside ORCA and a dynamic "
+        "window: goals per minute, contacts, CPU time",
+        (worlds(12), JOBS, SEED),
         robot=None,
     ),
     "world": Study(

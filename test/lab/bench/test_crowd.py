@@ -1,35 +1,38 @@
 import math
+from itertools import islice, pairwise
 
-import numpy as np
 import pytest
 
-from omniman_ros.lab.bench.crowd import HALF, RADIUS, DiscCrowd, disc_gaps, drive_in_crowd
-from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.lab.bench.crowd import (
+    BASELINES,
+    GOAL_DISTANCE,
+    GOAL_HALF,
+    KINDS,
+    drive_in_crowd,
+    goal_poses,
+)
 from omniman_ros.robots import robot_parameters
 
-BOX = np.array([0.4, 0.25])
 
-
-def test_a_gap_is_that_of_disc_and_box():
-    pose = np.array([1.0, 2.0, math.pi / 2])  # its length along y
-    places = np.array([[1.0, 3.0], [2.0, 2.0], [1.1, 2.1], [1.25 + 0.3, 2.4 + 0.4]])
-    expected = [0.6 - RADIUS, 0.75 - RADIUS, -RADIUS, 0.5 - RADIUS]
-    assert disc_gaps(pose, BOX, places) == pytest.approx(expected)
-
-
-def test_discs_cross_their_square_again_and_again():
-    crowd, way = DiscCrowd(8, seed=1), np.zeros(8)
-    for _ in range(round(30.0 / PERIOD)):
-        before = crowd.positions
-        crowd.advance()
-        way += np.hypot(*(crowd.positions - before).T)
-    assert np.abs(crowd.positions).max() <= HALF
-    assert way.min() == pytest.approx(30.0 * crowd._speeds.min())
-    assert way.min() > 2.0 * HALF
+def test_goals_are_apart_within_their_square_and_repeat():
+    poses = list(islice(goal_poses(3), 20))
+    assert max(abs(pose[:2]).max() for pose in poses) <= GOAL_HALF
+    assert min(math.dist(a[:2], b[:2]) for a, b in pairwise(poses)) >= GOAL_DISTANCE
+    assert (poses[7] == list(islice(goal_poses(3), 20))[7]).all()
 
 
 @pytest.mark.exhaustive
-def test_a_robot_that_moves_touches_nobody():
-    run = drive_in_crowd(robot_parameters("ig42"), 0, 20.0, 8)
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("method", BASELINES)
+def test_a_baseline_reaches_goals_among_few(kind, method):
+    run = drive_in_crowd(robot_parameters("ig42"), kind, method, 0, 20.0, 4)
+    assert run.goals > 0
+    assert run.seconds == pytest.approx(20.0, abs=0.05)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_robot_that_moves_touches_nobody(kind):
+    run = drive_in_crowd(robot_parameters("ig42"), kind, "planner", 0, 20.0, 8)
     assert run.contacts == 0
     assert run.goals > 0

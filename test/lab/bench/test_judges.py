@@ -58,7 +58,7 @@ def case(ratio):
 
 
 CLUTTER_RUN = clutter.ClutterRun(0, True, (), 5.0, 2.45, (0.01, 0.02))
-CROWD_RUN = crowd.CrowdRun(30.0, 3, 0, 2, (0.04, 0.04))
+CROWD_RUN = crowd.CrowdRun(60.0, 5, 0, 1, (0.025, 0.025))
 DODGED = {"completed": True, "least_gap_mm": 50.0, "time_ratio": 1.3, "search_s": 1.0}
 DODGED |= {"tool_rms_mm": 1.0, "tool_max_mm": 3.0}
 DODGED |= {"cycle": {"median_ms": 10.0, "p99_ms": 20.0, "max_ms": 50.0}}
@@ -86,7 +86,7 @@ JUST_MET = {
         "read_timeouts": 0,
     },
     clutter: {"drives": {clutter.AIMED: clutter.figures([CLUTTER_RUN])}},
-    crowd: crowd.figures([CROWD_RUN]),
+    crowd: {"drives": {kind: {crowd.PLANNER: crowd.figures([CROWD_RUN])} for kind in crowd.KINDS}},
     tracker: {name: counted() for name in ("people", "sudden", "crowd")},
     whole_body_obstacles: {
         "methods": {
@@ -118,8 +118,11 @@ WORSE = [
     (clutter, ("drives", clutter.AIMED, "contacts"), 1),
     (clutter, ("drives", clutter.AIMED, "score"), 0.48),
     (clutter, ("drives", clutter.AIMED, "mean_time_s"), None),
-    (crowd, ("contacts",), 1),
-    (crowd, ("cycle", "p99_ms"), 41.0),
+    (crowd, ("drives", "crossing", crowd.PLANNER, "contacts"), 1),
+    (crowd, ("drives", "giving way", crowd.PLANNER, "goals_per_minute"), 4.9),
+    (crowd, ("drives", "crossing", crowd.PLANNER, "contacts_at_rest_per_minute"), 1.1),
+    (crowd, ("drives", "giving way", crowd.PLANNER, "late_share"), 1e-4),
+    (crowd, ("drives", "crossing", crowd.PLANNER, "cycle", "p99_ms"), 25.1),
     (tracker, ("people", "velocity_rmse"), 0.11),
     (tracker, ("sudden", "velocity_rmse"), 0.11),
     (tracker, ("people", "false_movers"), 2),
@@ -200,7 +203,9 @@ def test_a_drive_that_fails_is_named_and_goals_count_by_the_minute():
     failed = clutter.ClutterRun(7, False, ("post_3",), 6.0, 5.0, (0.01, 0.02))
     found = clutter.figures([CLUTTER_RUN, failed])
     assert (found["reached"], found["contacts"], found["failed_seeds"]) == (1, 1, [7])
-    assert crowd.figures([CROWD_RUN])["goals_per_minute"] == 6.0
+    found = crowd.figures([CROWD_RUN, crowd.CrowdRun(60.0, 4, 2, 3, (0.05, 0.051))])
+    assert (found["goals_per_minute"], found["contacts"]) == (4.5, 2)
+    assert (found["contacts_at_rest_per_minute"], found["late_share"]) == (2.0, 0.25)
     assert math.isnan(
         tracker.figures([tracker.TrackerRun(tracker.TrackingJudge(3), [0.1])])["velocity_rmse"]
     )
