@@ -70,6 +70,8 @@ class MotionChooser:
         ready: Time at which the choice takes over, from which the last motion may brake [s].
         attempts: Largest number of brakings of a motion that are tried, evenly spaced.
         brakings: How a motion is braked at several times, where that is cheaper together.
+        evades_contact: Whether a motion that is not clear is followed as contact comes later on
+            it than on braking; else only if it has no contact.
     """
 
     check: MotionCheck
@@ -78,6 +80,7 @@ class MotionChooser:
     ready: float
     attempts: int | None = None
     brakings: Brakings | None = None
+    evades_contact: bool = True
 
     def choose(
         self,
@@ -147,6 +150,8 @@ class MotionChooser:
         for k, candidate in enumerate(candidates):
             motion = self.brake(candidate, candidate.end)
             new_contact, new_gap = self.check.threat(motion, self.now)
+            if not self.evades_contact and new_contact < math.inf:
+                continue
             if new_contact > contact + required_delay or (
                 new_contact >= contact and new_gap > gap + GAP_GAIN
             ):

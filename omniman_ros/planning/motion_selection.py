@@ -156,7 +156,15 @@ class MotionSelector:
             first = proposal.solutions[0]
             report = replace(report, slack=float(first.slack.max()), cost=first.cost)
         plans, refusal = self._plans(proposal, report.lateness, now, active)
-        chooser = MotionChooser(surroundings, self._brake, now, now)
+        among = surroundings.until < now
+        chooser = MotionChooser(
+            surroundings,
+            self._brake,
+            now,
+            now,
+            attempts=5 if among else None,
+            evades_contact=not among,
+        )
         earliest = proposal.due + 0.5 * self.limits.parameters.horizon.step
         self._choice = choice = chooser.choose(plans, earliest, self.motion, self._choice)
         self.motion = choice.motion

@@ -5,6 +5,7 @@ and `take` selects the plan, the rest of the last motion, or braking. The robot 
 until the next cycle. Time is always an argument.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,8 +31,17 @@ from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.plan_optimizer import PlanOptimizer, PlanRequest, SolverPool
-from omniman_ros.planning.route.route_planner import SEARCH_WORK, RoutePlanner
+from omniman_ros.planning.route.route_planner import (
+    SEARCH_WORK,
+    STATIC_SPEED,
+    RoutePlanner,
+    RouteSource,
+)
 from omniman_ros.planning.safety import Surroundings
+from omniman_ros.planning.velocity_samples import VelocitySamples
+
+NEAR = 4.0  #: Distance below which something that moves makes the planner sample velocities [m]
+LOOKAHEAD = 3.0  #: Part of a bent route at whose end samples aim [s]
 
 
 class Planner:
@@ -61,6 +71,7 @@ class Planner:
         self._tracker = GoalTracker()
         self._optimizer = PlanOptimizer(self.model, self.limits, solvers)
         self._selector = MotionSelector(self.model, self.limits)
+        self._samples = VelocitySamples(self.model, self.limits)
 
     # ---- state and results ------------------------------------------------------------------
 
@@ -133,6 +144,7 @@ class Planner:
         if parameters.robot != self.parameters.robot:
             self.model = PlanningModel.of(parameters.robot)
             self.footprint = Footprint(Rectangles.around(parameters.robot.body))
+            self._samples = VelocitySamples(self.model, self.limits)
         self._apply(replace(self.limits, parameters=parameters))
 
     def set_limit_scale(self, limit_scale: float, braking_scale: float = 1.0) -> None:
@@ -143,6 +155,7 @@ class Planner:
         self.limits = limits
         self._optimizer.configure(self.model, limits)
         self._selector.model, self._selector.limits = self.model, limits
+        self._samples.limits = limits
 
     def set_map(self, grid: GridMap | None) -> None:
         """Use a map, whose occupied cells are static obstacles; None removes the map."""
@@ -254,28 +267,52 @@ class Planner:
         """Optimise the plan that begins at a state (6,) at the time `due` [s]."""
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
+        if route is not None and self._is_among_people(start, obstacles):
+            return self._sampled(start, due, obstacles)
         clearance = None if route is None else route.clearance(self.limits)
         walls = self._walls_to_keep_from()
         request = PlanRequest(start, due, goal, self.footprint, obstacles, walls, clearance)
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
+
+    def _is_among_people(self, pose: Array, obstacles: Ellipses) -> bool:
+        """Return whether something moves near a pose (3,), or a state that begins with one."""
+        offset = obstacles.centers - pose[:2]
+        is_near = np.hypot(*offset.T) - obstacles.semi_axes.max(axis=1, initial=0.0) < NEAR
+        return bool((is_near & (np.hypot(*obstacles.velocities.T) > STATIC_SPEED)).any())
+
+    def _sampled(self, start: Array, due: float, obstacles: Ellipses) -> tuple[Solution, ...]:
+        """Return the best motions among people."""
+        assert self.route_planner is not None
+        moves = np.hypot(*obstacles.velocities.T) > STATIC_SPEED
+        walls = self._walls_to_keep_from().near(start, NEAR).ellipses(obstacles.time)
+        others = obstacles.select(~moves).joined(walls)
+        target = self.route_planner.ahead(LOOKAHEAD)
+        is_goal = self.route_planner.source is not RouteSource.REST
+        return self._samples.best(
+            start, due, target, obstacles.select(moves), others, is_goal=is_goal
+        )
 
     def take(
         self, proposal: PlanProposal, now: float, measured: MeasuredState, obstacles: Ellipses
     ) -> None:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
+        among = self._is_among_people(measured.pose, obstacles)
         surroundings = Surroundings(
             self.footprint,
             obstacles,
             p.workspace.bounds,
             p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
-            now + p.horizon.duration,
+            -math.inf if among else now + p.horizon.duration,
             self._walls_to_keep_from(),
             self._escape_path,
         )
         chosen = self._selector.select(proposal, now, surroundings, self.active)
         if chosen is not None:
-            self._optimizer.keep(proposal.due, chosen)
+            if np.isfinite(chosen.currents).all():
+                self._optimizer.keep(proposal.due, chosen)
+            else:
+                self._optimizer.discard_warm_start()
         goal = self.goal
         self._tracker.update_state(now, measured, self.limits)
         if goal is not None and self.goal is None:  # the goal has just been reached
@@ -296,6 +333,9 @@ class Planner:
         """Check the route, and do a slice of the search for another one at the end of a cycle."""
         if self.route_planner is not None:
             pose, _ = self.motion.sample(now)
+            if self._is_among_people(pose, obstacles):
+                speeds = np.hypot(*obstacles.velocities.T)
+                obstacles = obstacles.select(speeds < STATIC_SPEED)
             environment = self._environment(obstacles)
             self._tracker.update_route(now, pose, environment, self.limits, work)
 

@@ -189,3 +189,26 @@ def test_few_brakings_are_tried_where_a_check_is_costly():
     asked.clear()
     found = MotionChooser(wall, stopped, NOW, NOW, attempts=3).longest(along(0.7), NOW + 0.1)
     assert found is not None and len(asked) <= 4
+
+
+def test_among_people_only_a_motion_without_contact_is_an_evasion():
+    class Check:
+        """Nothing is clear; contact comes later on plans than on braking, or never."""
+
+        def __init__(self, later):
+            self.later = later
+
+        def contact(self, motion, now):
+            return now
+
+        def threat(self, motion, now):
+            goes_on = motion.poses[-1, 0] > 1.0
+            return (self.later if goes_on else NOW + 0.2), 0.0
+
+    last, plan = a_line(0.5, 0.0, 0.0), a_line(0.9, 0.0, 0.0)
+    for later, evades in ((NOW + 2.0, False), (math.inf, True)):
+        chooser = MotionChooser(Check(later), braked, NOW, NOW, evades_contact=False)
+        choice = chooser.choose([plan], NOW + 0.05, last, None)
+        assert choice.is_evasion is evades and choice.is_braking is not evades
+    always = MotionChooser(Check(NOW + 2.0), braked, NOW, NOW)
+    assert always.choose([plan], NOW + 0.05, last, None).is_evasion

@@ -180,6 +180,15 @@ class RoutePlanner:
             max_pace = min(SHORT_ROUTE_PACE * math.sqrt(rate * route.duration), 1.0)
         return RouteGoal(route, due, self._position, self._pace(route, start), rate, max_pace)
 
+    def ahead(self, span: float) -> Array:
+        """Return the pose (3,) a span [s] ahead on the route, or at the end of a straight one."""
+        if self.route is None:
+            return self.goal
+        is_straight = self._kind is RouteSource.STRAIGHT_LINE
+        position = self.route.duration if is_straight else self._position + span
+        pose: Array = self.route.at(np.array([position]))[0]
+        return pose
+
     def clearance(self, limits: EffectiveLimits) -> float:
         """Return the clearance of the next plan [m], reduced where the route's gap is small."""
         p = limits.parameters
