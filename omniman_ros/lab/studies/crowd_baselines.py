@@ -50,7 +50,7 @@ class KinematicRobot:
     """A robot that moves as a method chooses.
 
     Args:
-        method: Function that returns the velocity (2,) in the world [m/s].
+        method: Function that returns the velocity (3,) in the world [m/s, m/s, rad/s].
         timer: Clock by which the method's answers take their time [s].
     """
 
@@ -68,7 +68,7 @@ class KinematicRobot:
         self.limits = replace(parameters.limits, **limits)
         self.pose: Array = np.zeros(3)  #: (3,) [m, m, rad]
         self.velocity: Array = np.zeros(3)  #: (3,) in the world [m/s, m/s, rad/s]
-        self.wanted: Array = np.zeros(2)  #: velocity (2,) that was chosen last [m/s]
+        self.wanted: Array = np.zeros(3)  #: velocity (3,) that was chosen last
         self.goal: Array = np.zeros(3)  #: (3,) [m, m, rad]
         self.cycle_times: list[float] = []  #: durations of the method's answers [s]
         self._ticks = 0
@@ -93,11 +93,13 @@ class KinematicRobot:
         return False
 
     def approach(self) -> Array:
-        """Return the velocity (2,) straight to the goal from which the robot stops there [m/s]."""
-        x, y, _ = self._error()
+        """Return the velocity (3,) straight to the goal from which the robot stops there."""
+        x, y, angle = self._error()
         limits, left = self.limits, math.hypot(x, y)
         speed = _approach(left, limits.linear_velocity, limits.linear_deceleration)
-        return np.array([x, y]) * (speed / max(left, 1e-9))
+        rate = _approach(abs(angle), limits.angular_velocity, limits.angular_deceleration)
+        share = speed / max(left, 1e-9)
+        return np.array([share * x, share * y, math.copysign(rate, angle)])
 
     def cycle(self) -> None:
         """Ask for a velocity, follow it once it is there, and go on until the next cycle."""
@@ -114,11 +116,11 @@ class KinematicRobot:
         return x, y, se2.wrap(angle)
 
     def _step(self) -> None:
-        limits, error = self.limits, self._error()[2]
-        rate = _approach(abs(error), limits.angular_velocity, limits.angular_deceleration)
-        moved = slew(self.velocity * LINEAR, np.append(self.wanted, 0.0), limits, PERIOD)
-        turned = np.array([0.0, 0.0, math.copysign(rate, error)])
-        self.velocity = moved + slew(self.velocity * (1.0 - LINEAR), turned, limits, PERIOD)
+        linear, angular = (
+            slew(part * self.velocity, part * self.wanted, self.limits, PERIOD)
+            for part in (LINEAR, 1.0 - LINEAR)
+        )
+        self.velocity = linear + angular
         self.pose = self.pose + PERIOD * self.velocity
         self._ticks += 1
         self._on_tick(self.pose, self.velocity)
@@ -129,7 +131,7 @@ def _approach(left: float, limit: float, deceleration: float) -> float:
 
 
 def orca(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
-    """Return the velocity (2,) of ORCA [m/s]; see :mod:`~omniman_ros.lab.studies.crowds`.
+    """Return the velocity (3,) of ORCA; see :mod:`~omniman_ros.lab.studies.crowds`.
 
     The robot is its circumscribed circle, as it turns. It takes the whole of each avoidance.
     """
@@ -137,18 +139,19 @@ def orca(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
     supports = crowd.positions @ DIRECTIONS.T + RADIUS
     around = neighbours(supports, crowd.velocities, crowd.velocities, radius + CLEARANCE, 1.0)
     wish = robot.approach()
-    planes = half_planes(place, robot.velocity[:2], wish, around)
+    planes = half_planes(place, robot.velocity[:2], wish[:2], around)
     x, y = place.tolist()
     walls: list[HalfPlane] = [
         (nx, ny, -(HALF - radius + nx * x + ny * y) / WALL_HORIZON)
         for nx, ny in ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
     ]
     wanted = float(wish[0]), float(wish[1])
-    return np.array(nearest_velocity(wanted, robot.limits.linear_velocity, walls, planes))
+    chosen = nearest_velocity(wanted, robot.limits.linear_velocity, walls, planes)
+    return np.array([*chosen, wish[2]])
 
 
 def dynamic_window(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
-    """Return the velocity (2,) of least cost [m/s] with which the robot can still stop.
+    """Return the velocity (3,) of least cost with which the robot can still stop, or else rest.
 
     Source: D. Fox, W. Burgard and S. Thrun, "The Dynamic Window Approach to Collision Avoidance"
     (1997), here with velocities in all directions, discs at constant velocity and a cost in time.
@@ -159,7 +162,7 @@ def dynamic_window(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
     bearings = BEARINGS + math.atan2(wish[1], wish[0])
     speeds = limits.linear_velocity * SHARES[:, None]
     ahead = np.stack([speeds * np.cos(bearings), speeds * np.sin(bearings)], 2)
-    ahead[:, 0] = SHARES[:, None] * wish  # straight to the goal: no faster than to stop there
+    ahead[:, 0] = SHARES[:, None] * wish[:2]  # straight to the goal: no faster than to stop there
     wanted = np.vstack([np.zeros((1, 2)), ahead.reshape(-1, 2)])
 
     # How the velocities (n, k, 2) change at the limits: towards the candidate; from there to rest
@@ -192,10 +195,11 @@ def dynamic_window(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
         + CONTACT * np.exp(-contact / CONTACT_TIME)
         + GAP * small.mean(axis=1)
         + MEAN_DISTANCE * left.mean(axis=1) / speed
-        + TURN_BACK * 0.5 * np.hypot(*(wanted - robot.wanted).T) / speed
+        + TURN_BACK * 0.5 * np.hypot(*(wanted - robot.wanted[:2]).T) / speed
     )
     cost[~can_stop] = math.inf
-    chosen: Array = wanted[int(np.argmin(cost))]  # all infinite: the first, which is rest
+    best = int(np.argmin(cost))
+    chosen: Array = np.append(wanted[best], wish[2]) * can_stop[best]
     return chosen
 
 
