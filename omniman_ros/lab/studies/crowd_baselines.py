@@ -29,6 +29,7 @@ from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.world.avoidance import DIRECTIONS, half_planes
 from omniman_ros.simulation.world.velocity_program import HalfPlane, nearest_velocity
 
+HORIZON = 1.5  #: how far ahead ORCA minds discs [s]; with more it gets nowhere
 WALL_HORIZON = 0.8  #: how far ahead ORCA minds the edges of the square [s]
 APPROACH = 3.0  #: speed over the distance of a goal that is near [1/s]
 #: Candidates of the dynamic window: bearings from that of the goal [rad], shares of the speed
@@ -133,11 +134,12 @@ def _approach(left: float, limit: float, deceleration: float) -> float:
 def orca(robot: KinematicRobot, crowd: DiscCrowd) -> Array:
     """Return the velocity (3,) of ORCA; see :mod:`~omniman_ros.lab.studies.crowds`.
 
-    The robot is its circumscribed circle, as it turns. It takes the whole of each avoidance.
+    The robot is its circumscribed circle, as it turns. It takes half of each avoidance.
     """
     place, radius = robot.pose[:2], float(np.hypot(*robot.half))
     supports = crowd.positions @ DIRECTIONS.T + RADIUS
-    around = neighbours(supports, crowd.velocities, crowd.velocities, radius + CLEARANCE, 1.0)
+    speeds = crowd.velocities
+    around = neighbours(supports, speeds, speeds, radius + CLEARANCE, HORIZON)
     wish = robot.approach()
     planes = half_planes(place, robot.velocity[:2], wish[:2], around)
     x, y = place.tolist()

@@ -28,22 +28,30 @@ SPEEDS = (0.4, 1.0)  #: range of the discs' speeds [m/s]
 NEAR = 0.3  #: distance from its target at which a disc takes another one [m]
 FREE_START = 1.5  #: radius around the robot's start without discs [m]
 DECISION_TICKS = 10  #: ticks between two decisions of a disc that gives way
-HORIZON = 2.5  #: how far ahead somebody who avoids others minds them [s]
+HORIZON = 2.5  #: how far ahead a disc minds others [s]
 MINDED = 10  #: number of nearest others whom a disc minds, apart from the robot
 CLEARANCE = 0.05  #: gap that discs keep to what they give way to, if they can [m]
 
 
 def neighbours(
-    supports: Array, velocities: Array, wishes: Array, reach: float, fractions: float | Array
+    supports: Array,
+    velocities: Array,
+    wishes: Array,
+    reach: float,
+    horizon: float,
+    fractions: float | Array = 0.5,
 ) -> AvoidedNeighbours:
-    """Return what a disc of radius `reach` [m] keeps clear of, as `AvoidedNeighbours` has it."""
+    """Return what a disc of radius `reach` [m] keeps clear of for a time `horizon` [s].
+
+    The others are as in :class:`~omniman_ros.simulation.world.avoidance.AvoidedNeighbours`.
+    """
     each = np.ones(len(supports))
     return AvoidedNeighbours(
         outlines=supports,
         velocities=velocities,
         wishes=wishes,
         reaches=reach * each,
-        horizons=HORIZON * each,
+        horizons=horizon * each,
         fractions=fractions * each,
         fixed=0,
     )
@@ -107,6 +115,7 @@ class DiscCrowd:
                 np.vstack([before[others], velocity]),
                 np.vstack([wishes[others], velocity]),
                 RADIUS + CLEARANCE,
+                HORIZON,
                 np.append(np.full(len(others), 0.5), 1.0),
             )
             planes = half_planes(place, before[k], wishes[k], around)
