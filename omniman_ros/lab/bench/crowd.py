@@ -8,7 +8,7 @@ import argparse
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -75,7 +75,12 @@ class PlannedRobot:
     """A robot on the plant that the planner drives; it sees the discs with noise."""
 
     def __init__(
-        self, robot: Mapping[str, Any], crowd: DiscCrowd, seed: int, on_tick: OnTick
+        self,
+        robot: Mapping[str, Any],
+        crowd: DiscCrowd,
+        seed: int,
+        timer: Callable[[], float],
+        on_tick: OnTick,
     ) -> None:
         def place(k: int, _time: float) -> Array:
             position: Array = crowd.positions[k]
@@ -90,7 +95,7 @@ class PlannedRobot:
             obstacles=[MovingObstacle((RADIUS, RADIUS), partial(place, k)) for k in discs],
             noise=NOISE,
             seed=seed,
-            timer=time.process_time,
+            timer=timer,
             timed=True,
             on_tick=tick,
         )
@@ -141,9 +146,15 @@ class CrowdRun:
 
 
 def drive_in_crowd(
-    robot: Mapping[str, Any], kind: str, method: str, seed: int, seconds: float, count: int
+    robot: Mapping[str, Any],
+    kind: str,
+    method: str,
+    seed: int,
+    seconds: float,
+    count: int,
+    timer: Callable[[], float] = time.process_time,
 ) -> CrowdRun:
-    """Drive from goal to goal in a kind of crowd by a method."""
+    """Drive from goal to goal in a kind of crowd by a method, whose answers the timer measures."""
     edges = {"x_min": -HALF, "y_min": -HALF, "x_max": HALF, "y_max": HALF}
     values = {**robot, **{f"workspace.{name}": edge for name, edge in edges.items()}}
     parameters = build(PlannerParameters, values)
@@ -156,9 +167,9 @@ def drive_in_crowd(
 
     driven: PlannedRobot | KinematicRobot
     if method == PLANNER:
-        driven = PlannedRobot(values, crowd, seed, tick)
+        driven = PlannedRobot(values, crowd, seed, timer, tick)
     else:
-        driven = KinematicRobot(parameters, BASELINES[method], crowd, time.process_time, tick)
+        driven = KinematicRobot(parameters, BASELINES[method], crowd, timer, tick)
     begin, goals = driven.now, 0
     for pose in goal_poses(seed):
         goals += driven.reach(pose, begin + seconds)
