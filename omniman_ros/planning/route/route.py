@@ -75,6 +75,12 @@ class Route(Validated):
         """Return poses (N, 3) at positions (N,) along the route [s]; its ends beyond them."""
         return np.column_stack([np.interp(times, self.times, axis) for axis in self.poses.T])
 
+    def between(self, first: float, last: float) -> "Route":
+        """Return the part between two positions [s], the second one not before the first."""
+        inner = (self.times > first + SAME_TIME) & (self.times < last - SAME_TIME)
+        begin, end = self.at(np.array([first, last]))
+        return Route(np.vstack([begin, self.poses[inner], end]), self.speeds)
+
     def project(
         self,
         pose: Array,

@@ -29,7 +29,13 @@ STATIC_SPEED = 0.1  #: Speed below which a route leads around an obstacle [m/s]
 SEARCH_WORK = 4000  #: Work of a search in one planning cycle [expansions]: about 8 ms
 #: Factor on the work of a search while the robot waits for its first route [-]
 FIRST_SEARCH_FACTOR = 3
-CHECK_PERIOD = 0.5  #: Period at which the rest of the route is checked [s]
+CHECK_PERIOD = 0.5  #: Period at which the whole rest of the route is checked [s]
+#: Part of the route ahead of the robot that is checked in each cycle [s]
+CHECKED_AHEAD = 2.5
+#: Gap at the place from which a search begins, where there is one so wide [m]
+SEARCH_GAP = 0.1
+#: Time after which a search counts as finished where the place is chosen from which it begins [s]
+SEARCH_TIME = 0.25
 RETRY_DELAY = 2.0  #: Time from a search without a result to the next search [s]
 STUCK_TIME = 1.5  #: Time without progress after which the robot counts as stuck [s]
 STUCK_PROGRESS = 0.1  #: Progress along the route that counts as progress [s of the route]
@@ -47,6 +53,8 @@ GAP_RESERVE = 0.01
 GAP_WINDOW = 0.3
 WIDE_GAP = 0.2  #: Gap above which gaps of the route are not distinguished [m]
 MIN_KEPT_GAP = 0.01  #: Gap at which the rest of a route still counts as clear [m]
+#: Difference from the gap at its adoption above which a narrower route is no longer clear [m]
+GAP_CHANGE = 0.005
 #: Distance from the end of the route to a goal that moved, up to which the route is bent [m]
 MAX_BEND = 0.05
 #: Distance from the end of the route to a goal that moved, below which it stays [m]
@@ -73,6 +81,9 @@ class RoutePlanner:
     otherwise it is the result of a search. A robot that touches something first leaves it, by the
     way out. Where there is no route, the robot comes to rest and stays, until there is one.
 
+    A search begins on the part of the old route that is still clear, where the robot will be when
+    it is finished. The robot is led no farther than that place, where the new route is joined.
+
     Attributes:
         goal: Pose (3,) in odom that the route leads to [m, m, rad].
         failure: What is in the way and why the last search found no route, or an empty string.
@@ -90,6 +101,8 @@ class RoutePlanner:
         self._kind = RouteSource.STRAIGHT_LINE
         self._gaps = np.array([[0.0], [math.inf]])
         self._position = 0.0
+        self._hold = math.inf
+        self._braking = self._reaction = 0.0
         self._search: RouteSearch | None = None
         self._searches: Iterator[RouteSearch] = iter(())
         self._searched_clearance = math.nan
@@ -172,13 +185,18 @@ class RoutePlanner:
             min(full.linear_acceleration, full.linear_deceleration) / full.linear_velocity,
             min(full.angular_acceleration, full.angular_deceleration) / full.angular_velocity,
         )
+        pace = self._pace(route, start)
+        # The parts of the route that pass until rest, and until a search is finished.
+        self._braking, self._reaction = 0.5 * pace * pace / rate, pace * SEARCH_TIME
         if self._kind is RouteSource.ESCAPE_PATH:
             max_pace = SECOND_TRY_PACE
         elif self._tries > 1:
             max_pace = SECOND_TRY_PACE if self._tries == 2 else LATER_TRY_PACE
         else:
             max_pace = min(SHORT_ROUTE_PACE * math.sqrt(rate * route.duration), 1.0)
-        return RouteGoal(route, due, self._position, self._pace(route, start), rate, max_pace)
+        if self._hold < route.duration:
+            route = route.between(0.0, max(self._hold, self._position))
+        return RouteGoal(route, due, self._position, pace, rate, max_pace)
 
     def ahead(self, span: float) -> Array:
         """Return the pose (3,) a span [s] ahead on the route, or at the end of a straight one."""
@@ -210,9 +228,10 @@ class RoutePlanner:
         """Replace the route by one with as many poses, and keep the place on it."""
         assert self.route is not None
         old = self.route
-        here = np.array([self._position, self._progress[1]])
-        position, reached = np.interp(here, old.times, new.times).tolist()
+        here = np.array([self._position, self._progress[1], self._hold])
+        position, reached, hold = np.interp(here, old.times, new.times).tolist()
         self._position, self._progress = position, (self._progress[0], reached)
+        self._hold = hold if self._hold < math.inf else math.inf
         self._gaps[0] = np.interp(self._gaps[0], old.times, new.times)
         self.route = new
 
@@ -269,9 +288,41 @@ class RoutePlanner:
         elif self.is_stuck(now):
             self._tries += not self.failure  # a slower try does not help if there is no route
             self._begin_search(now, pose, environment, limits)
-        elif now >= self._next_check:
+        elif now >= self._next_check or not self._is_clear_ahead(environment):
             self._next_check = now + CHECK_PERIOD
             self._check(now, pose, environment, limits)
+
+    @property
+    def _leads(self) -> bool:
+        """Whether the robot follows a route to the goal."""
+        return self.route is not None and self._kind in (
+            RouteSource.STRAIGHT_LINE,
+            RouteSource.ROUTE,
+        )
+
+    def _is_clear_ahead(self, environment: Environment) -> bool:
+        """Return whether the next part of a route to the goal is clear; True without one."""
+        if not self._leads:
+            return True
+        last = min(self._position + CHECKED_AHEAD, self._hold)
+        return self._clear_until(environment, last)[0] == math.inf
+
+    def _clear_until(
+        self, environment: Environment, last: float = math.inf
+    ) -> tuple[float, Array, Array]:
+        """Return the position [s] at which the rest of the route ceases to be clear, or infinity.
+
+        It is searched up to a position `last` [s]. A route that was narrower from the beginning
+        is clear as long as it does not get narrower. Also returned are positions (K,) [s] and gaps
+        (K,) [m] there.
+        """
+        assert self.route is not None
+        positions, poses = self.route.samples(environment.footprint.radius, self._position, last)
+        gaps = environment.gaps(poses, WIDE_GAP)
+        kept = np.clip(np.interp(positions, *self._gaps) - GAP_CHANGE, 0.0, MIN_KEPT_GAP)
+        blocked = gaps <= kept
+        until = float(positions[int(blocked.argmax())]) if blocked.any() else math.inf
+        return until, positions, gaps
 
     def _check(
         self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
@@ -279,16 +330,14 @@ class RoutePlanner:
         """Keep the route if it is clear; else use a clear straight line, or begin a search."""
         radius, safety = environment.footprint.radius, limits.parameters.safety
 
-        def is_clear(route: Route, margin: float, first: float = 0.0) -> bool:
-            _, poses = route.samples(radius, first)
+        def is_clear(route: Route, margin: float) -> bool:
+            _, poses = route.samples(radius)
             return bool(environment.gaps(poses, margin + GAP_RESERVE).min() > margin)
 
         is_direct = self._kind is RouteSource.STRAIGHT_LINE
         is_route = self._kind is RouteSource.ROUTE
         same = is_direct or (is_route and self._searched_clearance == safety.clearance)
-        kept = (
-            self.route is not None and same and is_clear(self.route, MIN_KEPT_GAP, self._position)
-        )
+        kept = self._leads and same and self._clear_until(environment)[0] == math.inf
         if kept and is_direct:
             return
         if self._kind is RouteSource.REST:  # time at rest is not time without progress
@@ -300,19 +349,42 @@ class RoutePlanner:
                 self._adopt(line, None, RouteSource.STRAIGHT_LINE)
                 return
         if not kept:
-            self._begin_search(now, pose, environment, limits)
+            self._begin_search(now, pose, environment, limits, self._place_ahead(environment))
+
+    def _place_ahead(self, environment: Environment) -> float:
+        """Return the position on the route [s] from which to search; infinity if none is ahead.
+
+        The robot can come to rest there after the search, and everything up to it is clear.
+        """
+        if not self._leads:
+            return math.inf
+        until, positions, gaps = self._clear_until(environment)
+        aim = self._position + self._braking + self._reaction
+        near = positions <= min(aim, until - 1e-9)
+        if not near.any():
+            return math.inf
+        roomy = near & (gaps > SEARCH_GAP)
+        return float(positions[roomy if roomy.any() else near][-1])
 
     def _begin_search(
-        self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
+        self,
+        now: float,
+        pose: Array,
+        environment: Environment,
+        limits: EffectiveLimits,
+        place: float = math.inf,
     ) -> None:
         """Begin a search with the usual clearance; smaller ones follow if it finds no route.
 
-        A robot that touches something leaves it first, or stays where no way leads out.
+        It begins at the pose of the robot, or at a place on the route [s] if that is finite. A
+        robot that touches something leaves it first, or stays where no way leads out.
         """
-        self.is_trapped = False
+        self.is_trapped, self._hold = False, math.inf
         if environment.touches(pose):
             self._leave(now, pose, environment, limits)
             return
+        if self.route is not None and place < math.inf:
+            self._hold, pose = place, self.route.at(np.array([place]))[0]
         p = limits.parameters
         least, self._searched_clearance = p.safety.least_clearance, p.safety.clearance
 
@@ -353,6 +425,7 @@ class RoutePlanner:
     def _fail(self, now: float, reason: str) -> None:
         """Have the robot come to rest and stay, because there is no route."""
         self.failure, self._next_check = reason, now + RETRY_DELAY
+        self._hold = math.inf
         if self._kind is not RouteSource.REST:
             self.route, self.escape_path, self._kind = None, None, RouteSource.REST
 
@@ -368,6 +441,9 @@ class RoutePlanner:
         if self._search is not None:
             return
         self._progress = now, self._position
+        if route is not None and self.route is not None and self._hold < math.inf:
+            before = self.route.between(self._position, max(self._hold, self._position))
+            route = Route(np.vstack([before.poses[:-1], route.poses]), route.speeds)
         if route is None:
             self._fail(now, f"{self._blocking(pose, environment)}: {reason}")
             return
@@ -398,6 +474,7 @@ class RoutePlanner:
         # The progress along the last route is kept.
         self._progress = self._progress[0], self._progress[1] - self._position
         self.route, self._kind, self._position, self.escape_path = route, kind, 0.0, None
+        self._hold = math.inf
         self.is_trapped = self.is_trapped and kind is RouteSource.REST
         self._gaps = np.array([[0.0], [math.inf]])
         if environment is not None:

@@ -14,7 +14,9 @@ from omniman_ros.planning.route.route_planner import (
     CHECK_PERIOD,
     GAP_WINDOW,
     LATER_TRY_PACE,
+    MIN_KEPT_GAP,
     RETRY_DELAY,
+    SEARCH_GAP,
     SEARCH_WORK,
     SECOND_TRY_PACE,
     SHORT_ROUTE_PACE,
@@ -229,6 +231,64 @@ def test_new_obstacle_is_bypassed_until_it_disappears():
         CHECK_PERIOD + 2 * CYCLE, lambda: led.planner.source is RouteSource.STRAIGHT_LINE
     )
     assert led.run(10.0, lambda: np.abs(led.pose - [5.0, 0.0, 0.0]).max() < 1e-6)
+
+
+def test_a_route_that_is_blocked_ahead_is_searched_anew_in_the_next_cycle():
+    led = FollowedRoute((5.0, 0.0, 0.0))
+    led.run(2.5 * CHECK_PERIOD)
+    led.known = ellipses(*a_row(led.pose[0] + 1.5, -0.75, 0.75))
+    assert not led.searches()
+    led.cycle()
+    assert led.searches()
+
+
+def test_a_search_begins_ahead_on_the_clear_part_and_its_route_is_joined_there():
+    led = FollowedRoute((5.0, 0.0, 0.0))
+    led.run(2.0)
+    before = led.route
+    led.known = ellipses(*a_row(led.pose[0] + 2.0, -0.75, 0.75))
+    led.cycle(work=0)
+    assert led.searches() and led.route is before
+    targets, _ = led.along().targets(led.now + np.arange(0.0, 5.0, 0.1))
+    place = targets[-1]
+    assert led.pose[0] + 0.2 < place[0] < 5.0, "ahead of the robot"
+    assert led.environment.gaps(targets, 0.3).min() > SEARCH_GAP - 0.02, "not into what is new"
+    for _ in range(40):
+        led.cycle(work=0)
+    np.testing.assert_allclose(led.pose, place, atol=1e-6, err_msg="it waits there")
+    led.look(work=10**6)
+    assert led.has_a_route()
+    start = led.route.project(led.pose)
+    assert led.route.at(np.array([start]))[0] == pytest.approx(led.pose, abs=1e-6)
+    assert led.gaps().min() > 0.0
+    assert led.run(10.0, lambda: np.abs(led.pose - [5.0, 0.0, 0.0]).max() < 1e-6)
+
+
+def test_a_route_that_is_found_early_leads_on_from_the_old_one():
+    led = FollowedRoute((5.0, 0.0, 0.0))
+    led.run(2.0)
+    before = led.route
+    led.known = ellipses(*a_row(led.pose[0] + 2.0, -0.75, 0.75))
+    led.cycle(work=0)
+    place = led.along().targets(np.array([led.now + 9.0]))[0][0]
+    led.look(work=10**6)
+    assert led.has_a_route()
+    joint = led.route.project(place)
+    assert joint > 0.1 and led.route.at(np.array([joint]))[0] == pytest.approx(place, abs=1e-6)
+    shared = led.route.at(np.linspace(0.0, joint, 9))
+    on_old = before.at(np.array([before.project(pose) for pose in shared]))
+    np.testing.assert_allclose(shared, on_old, atol=1e-6)
+
+
+def test_a_goal_in_a_tight_place_is_not_searched_for_again_and_again():
+    goal = (4.0, 0.0, 0.0)
+    beside = ellipses((4.0, HALF[1] + 0.206, 0.2))
+    led = FollowedRoute(goal, beside)
+    led.look(work=0)
+    assert led.run(10.0, led.has_a_route) and 0.0 < led.gaps()[-1] < MIN_KEPT_GAP
+    first = led.route
+    assert led.run(10.0, lambda: np.abs(led.pose - goal).max() < 1e-6)
+    assert led.route is first
 
 
 def test_routes_do_not_alternate_while_nothing_changes():
