@@ -18,6 +18,7 @@ from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import HEADING_ERROR_LENGTH, Route, straight
 from omniman_ros.planning.route.route_goal import RouteGoal
 from omniman_ros.planning.route.search import RouteSearch
+from omniman_ros.planning.route.sight import is_seen, seen_until
 
 #: Factor on the acceleration limits at which the targets accelerate and decelerate [-]
 PACE_RATE_FACTOR = 0.9
@@ -35,7 +36,7 @@ CHECKED_AHEAD = 2.5
 #: Gap at the place from which a search begins, where there is one so wide [m]
 SEARCH_GAP = 0.1
 #: Time after which a search counts as finished where the place is chosen from which it begins [s]
-SEARCH_TIME = 0.25
+SEARCH_TIME = 0.6
 RETRY_DELAY = 2.0  #: Time from a search without a result to the next search [s]
 STUCK_TIME = 1.5  #: Time without progress after which the robot counts as stuck [s]
 STUCK_PROGRESS = 0.1  #: Progress along the route that counts as progress [s of the route]
@@ -59,6 +60,10 @@ GAP_CHANGE = 0.005
 MAX_BEND = 0.05
 #: Distance from the end of the route to a goal that moved, below which it stays [m]
 MIN_BEND = 1e-4
+#: Part of the route after the robot to which targets lead, though it is hidden [s]
+LEAST_SIGHT = 0.2
+#: Distance from the route above which the robot has left it, if an obstacle is between [m]
+LEFT_ROUTE = 0.3
 PACE_SPAN = 0.05  #: Part of the route over which the pace of the robot is measured [s]
 
 
@@ -102,7 +107,8 @@ class RoutePlanner:
         self._gaps = np.array([[0.0], [math.inf]])
         self._position = 0.0
         self._hold = math.inf
-        self._braking = self._reaction = 0.0
+        self._around: Environment | None = None
+        self._ahead = 0.0
         self._search: RouteSearch | None = None
         self._searches: Iterator[RouteSearch] = iter(())
         self._searched_clearance = math.nan
@@ -186,16 +192,21 @@ class RoutePlanner:
             min(full.angular_acceleration, full.angular_deceleration) / full.angular_velocity,
         )
         pace = self._pace(route, start)
-        # The parts of the route that pass until rest, and until a search is finished.
-        self._braking, self._reaction = 0.5 * pace * pace / rate, pace * SEARCH_TIME
+        # The robot may accelerate until a search is finished, and brakes then.
+        top = min(max(pace, 0.0) + rate * SEARCH_TIME, 1.0)
+        self._ahead = 0.5 * (pace + top) * SEARCH_TIME + 0.5 * top * top / rate
         if self._kind is RouteSource.ESCAPE_PATH:
             max_pace = SECOND_TRY_PACE
         elif self._tries > 1:
             max_pace = SECOND_TRY_PACE if self._tries == 2 else LATER_TRY_PACE
         else:
             max_pace = min(SHORT_ROUTE_PACE * math.sqrt(rate * route.duration), 1.0)
-        if self._hold < route.duration:
-            route = route.between(0.0, max(self._hold, self._position))
+        last = self._hold
+        if self._around is not None and self._leads:
+            seen = seen_until(route, self._position, start[:2], self._around)
+            last = min(last, max(seen, self._position + LEAST_SIGHT))
+        if last < route.duration:
+            route = route.between(0.0, max(last, self._position))
         return RouteGoal(route, due, self._position, pace, rate, max_pace)
 
     def ahead(self, span: float) -> Array:
@@ -266,7 +277,7 @@ class RoutePlanner:
             self.failure = "" if progresses else self.failure
             if self._position > SLOWEST_DISTANCE:
                 self._tries = 0 if self._position > SLOW_DISTANCE else min(self._tries, 2)
-        self._updated = now
+        self._updated, self._around = now, environment
         try:
             self._advance(now, pose, environment, limits, work)
         except InputError as error:  # a pose is not finite: no search is possible
@@ -288,6 +299,8 @@ class RoutePlanner:
         elif self.is_stuck(now):
             self._tries += not self.failure  # a slower try does not help if there is no route
             self._begin_search(now, pose, environment, limits)
+        elif self._has_left(pose, environment):
+            self._begin_search(now, pose, environment, limits)
         elif now >= self._next_check or not self._is_clear_ahead(environment):
             self._next_check = now + CHECK_PERIOD
             self._check(now, pose, environment, limits)
@@ -299,6 +312,14 @@ class RoutePlanner:
             RouteSource.STRAIGHT_LINE,
             RouteSource.ROUTE,
         )
+
+    def _has_left(self, pose: Array, environment: Environment) -> bool:
+        """Return whether an obstacle is between the robot and its route."""
+        if not self._leads or self.route is None:
+            return False
+        place = self.route.at(np.array([self._position]))[0, :2]
+        is_far = math.dist(place.tolist(), pose[:2].tolist()) > LEFT_ROUTE
+        return is_far and not is_seen(pose[:2], place, environment)
 
     def _is_clear_ahead(self, environment: Environment) -> bool:
         """Return whether the next part of a route to the goal is clear; True without one."""
@@ -359,8 +380,7 @@ class RoutePlanner:
         if not self._leads:
             return math.inf
         until, positions, gaps = self._clear_until(environment)
-        aim = self._position + self._braking + self._reaction
-        near = positions <= min(aim, until - 1e-9)
+        near = positions <= min(self._position + self._ahead, until - 1e-9)
         if not near.any():
             return math.inf
         roomy = near & (gaps > SEARCH_GAP)

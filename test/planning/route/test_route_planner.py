@@ -319,6 +319,38 @@ def test_walls_of_a_map_are_bypassed():
     )
 
 
+def a_hook():
+    """Return a wall across the way to the goal, open on one side, as a map."""
+    cells = np.zeros((80, 160), dtype=bool)
+    cells[:60, 60:62] = True
+    return GridMap(cells, 0.05, np.array([-1.0, -2.0, 0.0]))
+
+
+def test_targets_end_where_the_route_goes_behind_a_wall():
+    led = FollowedRoute((3.0, -0.2, 0.0), grid=a_hook(), pose=(1.5, 0.0, 0.0))
+    led.look(work=0)
+    assert led.run(5.0, led.has_a_route) and led.route.poses[:, 1].max() > 1.0
+    end = led.along().targets(np.array([led.now + 60.0]))[0][0]
+    assert end[0] < 2.2 and end[1] > 1.0, "above the end of the wall"
+    assert led.run(15.0, lambda: np.abs(led.pose - [3.0, -0.2, 0.0]).max() < 1e-6)
+
+
+def test_a_robot_that_is_on_the_other_side_of_a_wall_than_its_route_gets_another():
+    led = FollowedRoute((3.0, -1.0, 0.0), grid=a_hook(), pose=(1.2, 0.4, 0.0))
+    led.look(work=0)
+    assert led.run(5.0, led.has_a_route)
+    led.pose = led.pose + [0.0, -0.6, 0.0]
+    led.along()
+    led.look()
+    assert not led.searches(), "nothing is between"
+    led.pose = np.array([2.6, 0.4, 0.0])
+    led.along()
+    led.look()
+    assert led.searches()
+    led.look(work=10**6)
+    assert not led.searches() and led.route.poses[0] == pytest.approx(led.pose)
+
+
 # ---- clearance --------------------------------------------------------------------------------
 
 
