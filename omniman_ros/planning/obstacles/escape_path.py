@@ -12,6 +12,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 
 DIRECTIONS = 48  #: Number of directions that are tried
@@ -36,7 +37,8 @@ class EscapePath(Validated):
     boundary of an occupied area repel to both sides, so they cannot tell which way is out. This
     way is the shortest translation to a pose that is clear; on it, the robot touches no obstacle
     that it does not touch already, and no part that is on free ground enters occupied cells. A
-    SHORT one may lead back over cells that the robot touches already.
+    SHORT one may lead back over cells that the robot touches already, and every one over cells
+    that are wholly under the robot at its start: nothing can stand there.
     """
 
     start: Annotated[Array, Shape(3)]  #: (3,) pose in odom at which it begins [m, m, rad]
@@ -61,9 +63,11 @@ class EscapePath(Validated):
             if clear.any():
                 last = int(clear.argmax())
                 found.append((last, -float(gaps[last]), poses[last]))
+        grid = environment.grid
+        solid = grid and _without_islands(grid, environment.footprint, pose)
         for _, _, end in sorted(found, key=lambda way: way[:2]):
             way = EscapePath(pose, end)
-            if way._goes_no_deeper(environment):
+            if way._goes_no_deeper(environment, solid):
                 return way
         return None
 
@@ -77,18 +81,18 @@ class EscapePath(Validated):
     def _length(self) -> float:
         return math.dist(self.start[:2].tolist(), self.end[:2].tolist())
 
-    def _goes_no_deeper(self, environment: Environment) -> bool:
-        """Return whether the robot enters nothing new on this way."""
+    def _goes_no_deeper(self, environment: Environment, solid: GridMap | None) -> bool:
+        """Return whether the robot enters nothing new, of the map and all else, on this way."""
         count = len(environment.walls)
         before, after = (environment.touched(some) for some in (self._poses[:1], self._poses))
         is_new = after & ~before
         if is_new[count:].any():
             return False
-        if environment.grid is None or (self._length <= SHORT and not is_new[:count].any()):
+        if solid is None or (self._length <= SHORT and not is_new[:count].any()):
             return True
-        local = _points(environment.footprint, max(environment.grid.resolution, FINEST))
+        local = _points(environment.footprint, max(solid.resolution, FINEST))
         at = np.concatenate([se2.displaced(local, pose.tolist()) for pose in self._poses])
-        inside = environment.grid.occupied_at(at[:, :2]).reshape(len(self._poses), -1)
+        inside = solid.occupied_at(at[:, :2]).reshape(len(self._poses), -1)
         return not inside[:, ~inside[0]].any()
 
     def without(self, walls: Walls, footprint: Footprint, margin: float) -> Walls:
@@ -113,6 +117,31 @@ class EscapePath(Validated):
         is_on &= aside <= max(ASIDE, float(aside[0]) + BACK)
         is_on &= turned <= max(TURNED, float(turned[0]) + BACK)
         return math.inf if is_on.all() else float(times[int((~is_on).argmax())])
+
+
+def _without_islands(grid: GridMap, footprint: Footprint, pose: Array) -> GridMap:
+    """Return a map without the occupied cells that are all under the robot, with their neighbours.
+
+    Cells that are connected to others beside the robot stay: a wall may reach under it.
+    """
+    cells = np.argwhere(grid.occupied)
+    middles = (cells[:, ::-1] + 0.5) * grid.resolution
+    places = se2.displaced(np.column_stack([middles, np.zeros(len(cells))]), grid.origin.tolist())
+    near = np.hypot(*(places[:, :2] - pose[:2]).T) < footprint.radius + 2.0 * grid.resolution
+    cells, places = cells[near], places[near, :2]
+    is_solid = np.ones(len(cells), dtype=bool)
+    for part in footprint.whole.each():
+        x0, y0, yaw = part.poses(pose[None])[0].tolist()
+        x, y = (places - (x0, y0)).T
+        c, s = math.cos(yaw), math.sin(yaw)
+        local = np.abs(np.column_stack([c * x + s * y, c * y - s * x]))
+        is_solid &= ~(local <= part.half - grid.radius).all(axis=1)
+    is_next = np.abs(cells[:, None] - cells).max(axis=2) <= 1
+    while (grown := (is_next & is_solid).any(axis=1)).sum() > is_solid.sum():
+        is_solid = grown
+    occupied = grid.occupied.copy()
+    occupied[tuple(cells[~is_solid].T)] = False
+    return GridMap(occupied, grid.resolution, grid.origin)
 
 
 def _points(footprint: Footprint, spacing: float) -> Array:

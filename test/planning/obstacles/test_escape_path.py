@@ -57,6 +57,29 @@ def test_the_way_out_of_a_thin_wall_leads_back(depth):
     assert math.cos(angle) < -0.9 and depth <= length < depth + 0.1
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.2, -0.1), (0.35, 0.2)])
+@pytest.mark.parametrize("heading", [0.0, 0.7])
+def test_a_noisy_cell_under_the_robot_is_left_by_the_shortest_way(place, heading):
+    x, y = place
+    noisy = around((x, y, x + CELL, y + CELL))
+    _, length = way_of(noisy, np.array([0.0, 0.0, heading]))
+    assert length < HALF.min() + 2.0 * CELL
+
+
+def test_a_noisy_cell_under_the_robot_opens_no_way_through_a_wall_that_reaches_under_it():
+    wall = (-0.1, -3.0, -0.05, 3.0)
+    assert EscapePath.find(AT_ORIGIN, around(wall)) is None
+    assert EscapePath.find(AT_ORIGIN, around(wall, (0.1, 0.0, 0.15, 0.05))) is None
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5 * math.pi])
+def test_a_disc_that_the_robot_overlaps_by_millimetres_is_left_at_once(angle):
+    ahead = np.array([math.cos(angle), math.sin(angle)])
+    x, y = ahead * (abs(HALF @ ahead) + 0.25 - 0.009)
+    out, length = way_of(around(known=ellipses((float(x), float(y), 0.25))))
+    assert math.cos(out - angle) < -0.99 and length < 0.05
+
+
 def test_a_robot_that_is_wholly_inside_has_no_way_out():
     inside = around((-1.5, -1.5, 1.5, 1.5))
     assert inside.touches(AT_ORIGIN)
