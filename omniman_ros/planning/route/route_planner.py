@@ -88,6 +88,7 @@ class RoutePlanner:
 
     A search begins on the part of the old route that is still clear, where the robot will be when
     it is finished. The robot is led no farther than that place, where the new route is joined.
+    While something stands on the goal, the robot drives up to it and waits, without a search.
 
     Attributes:
         goal: Pose (3,) in odom that the route leads to [m, m, rad].
@@ -359,6 +360,7 @@ class RoutePlanner:
         is_route = self._kind is RouteSource.ROUTE
         same = is_direct or (is_route and self._searched_clearance == safety.clearance)
         kept = self._leads and same and self._clear_until(environment)[0] == math.inf
+        self._hold = math.inf if kept else self._hold
         if kept and is_direct:
             return
         if self._kind is RouteSource.REST:  # time at rest is not time without progress
@@ -369,8 +371,13 @@ class RoutePlanner:
                 self.failure = ""
                 self._adopt(line, None, RouteSource.STRAIGHT_LINE)
                 return
-        if not kept:
-            self._begin_search(now, pose, environment, limits, self._place_ahead(environment))
+        if kept:
+            return
+        place = self._place_ahead(environment)
+        if place < math.inf and environment.touches(self.goal):  # no search leads there
+            self._hold, self._progress = place, (now, self._position)
+        else:
+            self._begin_search(now, pose, environment, limits, place)
 
     def _place_ahead(self, environment: Environment) -> float:
         """Return the position on the route [s] from which to search; infinity if none is ahead.

@@ -280,6 +280,17 @@ def test_a_route_that_is_found_early_leads_on_from_the_old_one():
     np.testing.assert_allclose(shared, on_old, atol=1e-6)
 
 
+def test_a_robot_waits_before_a_goal_that_something_stands_on():
+    led = FollowedRoute((4.0, 0.0, 0.0))
+    led.run(1.0)
+    led.known = ellipses((4.1, 0.1, 0.2))
+    assert not led.run(12.0, lambda: led.searches() or bool(led.planner.failure))
+    gap = led.environment.gaps(led.pose[None], 1.0)[0]
+    assert 0.05 < gap < 0.3 and not led.planner.is_stuck(led.now), "near it, and patient"
+    led.known = ellipses()
+    assert led.run(10.0, lambda: np.abs(led.pose - [4.0, 0.0, 0.0]).max() < 1e-6)
+
+
 def test_a_goal_in_a_tight_place_is_not_searched_for_again_and_again():
     goal = (4.0, 0.0, 0.0)
     beside = ellipses((4.0, HALF[1] + 0.206, 0.2))
