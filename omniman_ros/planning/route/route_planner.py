@@ -382,9 +382,10 @@ class RoutePlanner:
     def _place_ahead(self, environment: Environment) -> float:
         """Return the position on the route [s] from which to search; infinity if none is ahead.
 
-        The robot can come to rest there after the search, and everything up to it is clear.
+        The robot can come to rest there after the search, and everything up to it is clear. From a
+        route on which it has made no progress, no other one is sought: it may never do.
         """
-        if not self._leads:
+        if not self._leads or self._position < STUCK_PROGRESS:
             return math.inf
         until, positions, gaps = self._clear_until(environment)
         near = positions <= min(self._position + self._ahead, until - 1e-9)
