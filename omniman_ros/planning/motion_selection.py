@@ -156,14 +156,14 @@ class MotionSelector:
             first = proposal.solutions[0]
             report = replace(report, slack=float(first.slack.max()), cost=first.cost)
         plans, refusal = self._plans(proposal, report.lateness, now, active)
-        among = surroundings.until < now
+        is_in_crowd = surroundings.until < now
         chooser = MotionChooser(
             surroundings,
             self._brake,
             now,
             now,
-            attempts=5 if among else None,
-            evades_contact=not among,
+            attempts=5 if is_in_crowd else None,
+            evades_contact=not is_in_crowd,
         )
         earliest = proposal.due + 0.5 * self.limits.parameters.horizon.step
         self._choice = choice = chooser.choose(plans, earliest, self.motion, self._choice)

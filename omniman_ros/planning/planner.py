@@ -40,7 +40,8 @@ from omniman_ros.planning.route.route_planner import (
 from omniman_ros.planning.safety import Surroundings
 from omniman_ros.planning.velocity_samples import VelocitySamples
 
-NEAR = 4.0  #: Distance below which something that moves makes the planner sample velocities [m]
+CROWD = 4  #: Number of things that move nearby from which on the planner samples velocities
+NEAR = 4.0  #: Distance below which they count [m]
 LOOKAHEAD = 3.0  #: Part of a bent route at whose end samples aim [s]
 
 
@@ -267,21 +268,22 @@ class Planner:
         """Optimise the plan that begins at a state (6,) at the time `due` [s]."""
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
-        if route is not None and self._is_among_people(start, obstacles):
+        if route is not None and self._is_in_crowd(start, obstacles):
             return self._sampled(start, due, obstacles)
         clearance = None if route is None else route.clearance(self.limits)
         walls = self._walls_to_keep_from()
         request = PlanRequest(start, due, goal, self.footprint, obstacles, walls, clearance)
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
 
-    def _is_among_people(self, pose: Array, obstacles: Ellipses) -> bool:
-        """Return whether something moves near a pose (3,), or a state that begins with one."""
+    def _is_in_crowd(self, pose: Array, obstacles: Ellipses) -> bool:
+        """Return whether much moves near a pose (3,), or a state that begins with one."""
         offset = obstacles.centers - pose[:2]
         is_near = np.hypot(*offset.T) - obstacles.semi_axes.max(axis=1, initial=0.0) < NEAR
-        return bool((is_near & (np.hypot(*obstacles.velocities.T) > STATIC_SPEED)).any())
+        moves = np.hypot(*obstacles.velocities.T) > STATIC_SPEED
+        return int((is_near & moves).sum()) >= CROWD
 
     def _sampled(self, start: Array, due: float, obstacles: Ellipses) -> tuple[Solution, ...]:
-        """Return the best motions among people."""
+        """Return the best motions in a crowd."""
         assert self.route_planner is not None
         moves = np.hypot(*obstacles.velocities.T) > STATIC_SPEED
         walls = self._walls_to_keep_from().near(start, NEAR).ellipses(obstacles.time)
@@ -297,13 +299,13 @@ class Planner:
     ) -> None:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
-        among = self._is_among_people(measured.pose, obstacles)
+        is_in_crowd = self._is_in_crowd(measured.pose, obstacles)
         surroundings = Surroundings(
             self.footprint,
             obstacles,
             p.workspace.bounds,
             p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
-            -math.inf if among else now + p.horizon.duration,
+            -math.inf if is_in_crowd else now + p.horizon.duration,
             self._walls_to_keep_from(),
             self._escape_path,
         )
@@ -333,7 +335,7 @@ class Planner:
         """Check the route, and do a slice of the search for another one at the end of a cycle."""
         if self.route_planner is not None:
             pose, _ = self.motion.sample(now)
-            if self._is_among_people(pose, obstacles):
+            if self._is_in_crowd(pose, obstacles):
                 speeds = np.hypot(*obstacles.velocities.T)
                 obstacles = obstacles.select(speeds < STATIC_SPEED)
             environment = self._environment(obstacles)

@@ -92,17 +92,21 @@ def test_the_best_motion_can_rest_before_who_comes():
     assert not can_rest(np.array([0.6, 0.0, 0.0]), np.array([0.7, 0.0, 0.0]))
 
 
-def test_the_planner_drives_through_a_person_s_way_and_touches_nobody():
+def test_the_planner_drives_through_a_crowd_and_touches_nobody():
     sim = SimulatedRun(planner())
-    start = sim.now
+    start, random = sim.now, np.random.default_rng(5)
+    places, rates = random.uniform((1.5, -2.0), (4.5, 2.0), (6, 2)), np.array([[-0.6, 0.0]] * 6)
 
     def seen(now):
-        x = 2.5 - 0.8 * (now - start)
-        return Ellipses.circles(now, [(x, 0.1), (1.0, x - 1.0)], [(-0.8, 0.0), (0.0, -0.8)], 0.25)
+        return Ellipses.circles(now, places + (now - start) * rates, rates, 0.2)
 
     sim.seen = seen
     sim.drive(pose(3.0, 0.0, 0.0))
-    sim.run(12.0)
+    sampled = []
+    best = sim.planner._samples.best
+    sim.planner._samples.best = lambda *it, **more: sampled.append(it[1]) or best(*it, **more)
+    sim.run(15.0)
+    assert len(sampled) > 20
     assert math.dist(sim.pose()[:2], (3.0, 0.0)) < 0.03
     half = sim.planner.model.half
     for time, at in zip(sim.times, sim.poses, strict=True):
