@@ -1326,6 +1326,7 @@ def test_goal_in_a_wall_is_refused_and_a_new_wall_stops_the_robot(alone):
     alone.hooks.append(lambda: gaps.append(1.0 - 0.1 - alone.true_pose()[0]))
     alone.run_until(lambda: alone.state is PlannerState.BLOCKED, 15.0, "the robot to be blocked")
     alone.rest(3.0)
+    alone.run(0.5)  # until the status says so
     assert min(gaps) > alone.core.model.half[1]
     level, message, _ = alone.last_status()
     assert level == DiagnosticStatus.WARN and message.startswith("blocked: the map at (")
