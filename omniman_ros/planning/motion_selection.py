@@ -25,6 +25,7 @@ from omniman_ros.planning.safety import Surroundings
 REPLAN_POSITION_ERROR = 0.15
 #: Heading error above which plans begin at the measured pose of the robot [rad]
 REPLAN_HEADING_ERROR = 0.2
+CROWD_BRAKINGS = 5  #: Number of brakings of a motion that are checked in a crowd
 
 
 @dataclass(frozen=True)
@@ -142,11 +143,18 @@ class MotionSelector:
     # ---- selection --------------------------------------------------------------------------
 
     def select(
-        self, proposal: PlanProposal, now: float, surroundings: Surroundings, active: bool
+        self,
+        proposal: PlanProposal,
+        now: float,
+        surroundings: Surroundings,
+        *,
+        active: bool,
+        in_crowd: bool,
     ) -> Solution | None:
         """Set the motion to the best one available, and report on it.
 
-        Plans are only used if there is a goal to drive to: `active`; see `MotionChooser`.
+        Plans are only used if there is a goal to drive to: `active`; see `MotionChooser`. In a
+        crowd, few brakings are tried, and no motion with a contact is preferred to braking.
 
         Returns:
             Solution to warm-start the next optimisation from; None if the warm start is kept.
@@ -156,14 +164,13 @@ class MotionSelector:
             first = proposal.solutions[0]
             report = replace(report, slack=float(first.slack.max()), cost=first.cost)
         plans, refusal = self._plans(proposal, report.lateness, now, active)
-        is_in_crowd = surroundings.until < now
         chooser = MotionChooser(
             surroundings,
             self._brake,
             now,
             now,
-            attempts=5 if is_in_crowd else None,
-            evades_contact=not is_in_crowd,
+            attempts=CROWD_BRAKINGS if in_crowd else None,
+            evades_contact=not in_crowd,
         )
         earliest = proposal.due + 0.5 * self.limits.parameters.horizon.step
         self._choice = choice = chooser.choose(plans, earliest, self.motion, self._choice)

@@ -268,7 +268,8 @@ class Planner:
         """Optimise the plan that begins at a state (6,) at the time `due` [s]."""
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
-        if route is not None and self._is_in_crowd(start, obstacles):
+        is_free = route is not None and route.escape_path is None  # that is left straight
+        if is_free and self._is_in_crowd(start, obstacles):
             return self._sampled(start, due, obstacles)
         clearance = None if route is None else route.clearance(self.limits)
         walls = self._walls_to_keep_from()
@@ -299,17 +300,19 @@ class Planner:
     ) -> None:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
-        is_in_crowd = self._is_in_crowd(measured.pose, obstacles)
+        in_crowd = self._is_in_crowd(measured.pose, obstacles)
         surroundings = Surroundings(
             self.footprint,
             obstacles,
             p.workspace.bounds,
             p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
-            -math.inf if is_in_crowd else now + p.horizon.duration,
+            -math.inf if in_crowd else now + p.horizon.duration,
             self._walls_to_keep_from(),
             self._escape_path,
         )
-        chosen = self._selector.select(proposal, now, surroundings, self.active)
+        chosen = self._selector.select(
+            proposal, now, surroundings, active=self.active, in_crowd=in_crowd
+        )
         if chosen is not None:
             if np.isfinite(chosen.currents).all():
                 self._optimizer.keep(proposal.due, chosen)

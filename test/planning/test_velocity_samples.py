@@ -92,23 +92,90 @@ def test_the_best_motion_can_rest_before_who_comes():
     assert not can_rest(np.array([0.6, 0.0, 0.0]), np.array([0.7, 0.0, 0.0]))
 
 
+class Crowd:
+    """Six discs that come towards the robot, one of which may be spoilt from a time on."""
+
+    def __init__(self, start, spoilt=None, since=math.inf):
+        self._start, self._spoilt, self._since = start, spoilt, since
+        random = np.random.default_rng(5)
+        self._places = random.uniform((1.5, -2.0), (4.5, 2.0), (6, 2))
+
+    def __call__(self, now):
+        rates = np.array([[-0.6, 0.0]] * 6)
+        values = {
+            "centers": self._places + (now - self._start) * rates,
+            "velocities": rates,
+            "semi_axes": np.full((6, 2), 0.2),
+            "growth": np.zeros(6),
+        }
+        if self._spoilt is not None and now > self._since:
+            name, value = self._spoilt
+            values[name][0] = value
+        return Ellipses(time=now, angles=np.zeros(6), **values)
+
+
+def driven_samples(sim):
+    """Return a list that gets the time of each call of the samples."""
+    called, best = [], sim.planner._samples.best
+    sim.planner._samples.best = lambda *it, **more: called.append(it[1]) or best(*it, **more)
+    return called
+
+
 def test_the_planner_drives_through_a_crowd_and_touches_nobody():
     sim = SimulatedRun(planner())
-    start, random = sim.now, np.random.default_rng(5)
-    places, rates = random.uniform((1.5, -2.0), (4.5, 2.0), (6, 2)), np.array([[-0.6, 0.0]] * 6)
-
-    def seen(now):
-        return Ellipses.circles(now, places + (now - start) * rates, rates, 0.2)
-
-    sim.seen = seen
+    sim.seen = Crowd(sim.now)
     sim.drive(pose(3.0, 0.0, 0.0))
-    sampled = []
-    best = sim.planner._samples.best
-    sim.planner._samples.best = lambda *it, **more: sampled.append(it[1]) or best(*it, **more)
+    sampled = driven_samples(sim)
     sim.run(15.0)
     assert len(sampled) > 20
     assert math.dist(sim.pose()[:2], (3.0, 0.0)) < 0.03
     half = sim.planner.model.half
     for time, at in zip(sim.times, sim.poses, strict=True):
-        gaps = _gaps_to_each(np.array(at)[None, None], half, seen(time), np.array([time]))
+        gaps = _gaps_to_each(np.array(at)[None, None], half, sim.seen(time), np.array([time]))
         assert gaps.min() > 0.0
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize(
+    "spoilt",
+    [
+        ("centers", math.nan),
+        ("centers", math.inf),
+        ("velocities", math.nan),
+        ("velocities", 1e300),
+        ("semi_axes", math.nan),
+        ("semi_axes", 99.0),
+        ("growth", math.nan),
+    ],
+    ids=str,
+)
+def test_a_spoilt_obstacle_in_a_crowd_brings_the_robot_to_rest(spoilt):
+    sim = SimulatedRun(planner())
+    sim.seen = Crowd(sim.now, spoilt, sim.now + 1.5)
+    sim.drive(pose(4.0, 0.0, 0.0))
+    sim.run(1.5, until=lambda: False)
+    assert np.hypot(*sim.planner.motion.sample(sim.now)[1][:2]) > 0.3
+    sim.run(1.5, until=lambda: False)
+    place = sim.pose()
+    sim.run(2.0, until=lambda: False)
+    assert sim.pose() == pytest.approx(place, abs=1e-9)
+
+
+def test_a_robot_that_touches_something_leaves_it_straight_in_a_crowd_too():
+    sim = SimulatedRun(planner())
+    half = sim.planner.model.half
+    post = Ellipses.circles(sim.now, [(half[0] + 0.04, 0.0)], (0.0, 0.0), 0.05)
+
+    def seen(now):
+        standing = Ellipses.circles(now, post.centers, (0.0, 0.0), 0.05)
+        return Crowd(sim.times[0] if sim.times else now)(now).joined(standing)
+
+    sim.seen = seen
+    sim.drive(pose(-2.0, 0.0, 0.0))
+    sampled = driven_samples(sim)
+    for _ in range(40):
+        sim.run(0.05, until=lambda: False)
+        route = sim.planner.route_planner
+        if route is not None and route.escape_path is not None:
+            assert not sampled or sampled[-1] < sim.now - 0.05
+    assert sim.pose()[0] < -0.05
