@@ -31,19 +31,23 @@ def own_niceness(niceness: int, proc: Path = Path("/proc")) -> Iterator[None]:
     cores falls behind with what it receives, and hears of answers and reports many seconds late.
     """
     pid, account = os.getpid(), proc / "self" / "autogroup"
-    before, session = os.getpriority(os.PRIO_PROCESS, pid), ""
+    before, group = os.getpriority(os.PRIO_PROCESS, pid), ""
     with contextlib.suppress(OSError):  # a kernel without groups
-        session = account.read_text(encoding="ascii").split()[-1]
+        group = account.read_text(encoding="ascii")  # empty: a process that is in none
     is_set = set_niceness(pid, niceness, proc)
-    if is_set and session:
-        account.write_text(str(niceness), encoding="ascii")
+
+    def set_group(of_group: int) -> None:
+        if is_set and group:
+            with contextlib.suppress(OSError):  # refused, or written twice within 100 ms
+                account.write_text(str(of_group), encoding="ascii")
+
+    set_group(niceness)
     try:
         yield
     finally:
         if is_set:
             set_niceness(pid, before, proc)
-            if session:
-                account.write_text(session, encoding="ascii")
+        set_group(int(group.split()[-1] if group else 0))
 
 
 def scheduling(pid: int) -> str:

@@ -46,10 +46,13 @@ def test_a_process_that_is_gone_has_no_niceness():
 
 
 @pytest.mark.processes
-def test_a_process_takes_its_own_niceness_back(tmp_path):
+@pytest.mark.parametrize(
+    ("group", "within", "after"), [("/autogroup-12 nice 3\n", "7", "3"), ("", "", "")]
+)
+def test_a_process_takes_its_own_niceness_back(tmp_path, group, within, after):
     account = tmp_path / "self" / "autogroup"
     account.parent.mkdir()
-    account.write_text("/autogroup-12 nice 3\n")
+    account.write_text(group)
     code = (
         "import os, sys\nfrom pathlib import Path\n"
         "from omniman_ros.lab.priority import own_niceness\n"
@@ -62,5 +65,6 @@ def test_a_process_takes_its_own_niceness_back(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=True
     )
-    expected = ["7 7", "2 3"] if os.geteuid() == 0 else ["7 7", "7 3"]
+    niceness = "2" if os.geteuid() == 0 else "7"
+    expected = [f"7 {within}", f"{niceness} {after}"]
     assert done.stdout.splitlines() == expected
