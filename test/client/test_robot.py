@@ -293,7 +293,7 @@ def test_a_stop_gives_the_motion_up_and_says_why(world, robot):
     with pytest.raises(MotionError, match="stop") as raised:
         handle.wait(timeout=5.0)
     assert raised.value.outcome is Outcome.GIVEN_UP
-    world.run(1.0)
+    world.run(2.0)  # from 0.8 m/s the ramp takes 0.8 s; the encoders tell of rest 0.3 s later
     robot.reset()
     world.run(1.0)
 
