@@ -25,7 +25,7 @@ from omniman_ros.planning.safety import Surroundings
 REPLAN_POSITION_ERROR = 0.15
 #: Heading error above which plans begin at the measured pose of the robot [rad]
 REPLAN_HEADING_ERROR = 0.2
-CROWD_BRAKINGS = 5  #: Number of brakings of a motion that are checked in a crowd
+BRAKINGS = 5  #: Largest number of brakings of a motion that are checked in a cycle
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class PlanProposal:
     """Plans that may be used until they are due."""
 
     due: float  #: Time at which the plans begin [s]; if they are ready after that, they are late
-    #: Solutions of the solver: the improved last plan and, if that is unsatisfactory, an evasion
+    #: Solutions by preference: the improved last plan and, if that is unsatisfactory, another one
     solutions: tuple[Solution, ...] = ()
     fault: str = ""  #: Reason why there is no plan, or an empty string
 
@@ -154,7 +154,7 @@ class MotionSelector:
         """Set the motion to the best one available, and report on it.
 
         Plans are only used if there is a goal to drive to: `active`; see `MotionChooser`. In a
-        crowd, few brakings are tried, and no motion with a contact is preferred to braking.
+        crowd, no motion with a contact is preferred to braking.
 
         Returns:
             Solution to warm-start the next optimisation from; None if the warm start is kept.
@@ -169,7 +169,7 @@ class MotionSelector:
             self._brake,
             now,
             now,
-            attempts=CROWD_BRAKINGS if in_crowd else None,
+            attempts=BRAKINGS,
             evades_contact=not in_crowd,
         )
         earliest = proposal.due + 0.5 * self.limits.parameters.horizon.step

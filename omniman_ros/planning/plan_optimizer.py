@@ -1,4 +1,4 @@
-"""Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
+"""Optimisation of plans: the improved last plan and, if that is unsatisfactory, another one."""
 
 import math
 from collections.abc import Iterator
@@ -27,6 +27,9 @@ from omniman_ros.planning.parameters import Horizon
 WALL_SLOTS = 8  #: Number of additional obstacles in the optimisation where there are walls
 #: Solver iterations on a problem without a warm start; with a warm start there is only one
 COLD_ITERATIONS = 5
+#: Distance from a plan's end to its target above which another is made from the targets [m]
+LAG = 0.6
+FRESH_ITERATIONS = 3  #: Solver iterations on a plan that is made from the targets
 EVASION_ITERATIONS = 4  #: Solver iterations on an evasion
 #: Solver iterations on an evasion near walls, which make each iteration slower
 EVASION_ITERATIONS_AT_WALLS = 2
@@ -87,6 +90,7 @@ class PlanOptimizer:
         self.solvers = solvers or SolverPool(model, limits.parameters.horizon)
         self._problem = Problem(model, limits)
         self._evasions = EvasionGuesses()
+        self._is_fresh_next = False
         self._warm_start: tuple[float, Array] | None = None
         self._failed = False
 
@@ -117,9 +121,11 @@ class PlanOptimizer:
         self._failed = False
 
     def solve(self, request: PlanRequest, evade: bool) -> tuple[Solution, ...]:
-        """Improve the last plan, and return it and, if asked for and found, an evasion.
+        """Improve the last plan, and return it and another one, if found, by preference.
 
-        An evasion is only tried where there are obstacles.
+        A plan that lags behind its target may be caught on the wrong side of an obstacle: the
+        other one then results from the targets alone. If asked for, it is an evasion; where both
+        are wanted, they take turns. Without obstacles there is only one plan.
 
         Raises:
             SolverError: The last plan could not be improved.
@@ -137,16 +143,46 @@ class PlanOptimizer:
         else:
             since, currents = self._warm_start
             guess, iterations = solver.shifted(currents, due - since), 1
-        solution = self._improved(solver, request, pairs, guess, iterations)
-        self.keep(due, solution)
-        if not len(pairs) or not evade:
-            return (solution,)
-        guess = self._evasions.next(self._problem, solver, start, due, pairs)
-        iterations = EVASION_ITERATIONS_AT_WALLS if len(walls) else EVASION_ITERATIONS
+        plan = self._improved(solver, request, pairs, guess, iterations)
+        self.keep(due, plan)
+        if not len(pairs):
+            return (plan,)
+        lags = self._lags(request, plan)
+        self._is_fresh_next = lags and not (evade and self._is_fresh_next)
         try:
-            return solution, self._improved(solver, request, pairs, guess, iterations)
+            if self._is_fresh_next:
+                fresh = self._fresh(solver, request, pairs)
+                if not self._is_better(fresh, plan):
+                    return (plan,)
+                self.keep(due, fresh)
+                return fresh, plan
+            if not evade:
+                return (plan,)
+            guess = self._evasions.next(self._problem, solver, start, due, pairs)
+            iterations = EVASION_ITERATIONS_AT_WALLS if len(walls) else EVASION_ITERATIONS
+            return plan, self._improved(solver, request, pairs, guess, iterations)
         except SolverError:
-            return (solution,)
+            return (plan,)
+
+    def _lags(self, request: PlanRequest, plan: Solution) -> bool:
+        """Return whether a plan ends far from its target."""
+        step = self._problem.limits.parameters.horizon.step
+        ends = request.due + step * len(plan.currents)
+        target = request.goal.targets(np.array([ends]))[0][0]
+        return math.dist(plan.states[-1, :2].tolist(), target[:2].tolist()) > LAG
+
+    def _fresh(self, solver: Solver, request: PlanRequest, pairs: Pairs) -> Solution:
+        """Return the plan that results from its targets alone."""
+        step = self._problem.limits.parameters.horizon.step
+        times = request.due + step * np.arange(1.0, solver.transcription.steps + 1.0)
+        guess = self._problem.along(request.start, request.goal.targets(times)[0])
+        return self._improved(solver, request, pairs, guess, FRESH_ITERATIONS)
+
+    def _is_better(self, plan: Solution, other: Solution) -> bool:
+        """Return whether a plan is better than another: by too large a slack, then by its cost."""
+        allowed = self._problem.limits.parameters.safety.slack
+        overlaps, other_overlaps = (float(each.slack.max()) > allowed for each in (plan, other))
+        return (overlaps, plan.cost) < (other_overlaps, other.cost)
 
     def _improved(
         self,

@@ -106,7 +106,9 @@ class Surroundings:
             return math.inf
         times, poses, velocities = motion.fine(now, -math.inf, WALL_SPAN_PARTS)
         left = math.inf if self.escape_path is None else self.escape_path.left_at(times, poses)
-        nodes, gaps = self.walls.swept(times, poses, velocities, self.footprint.whole)
+        nodes, gaps = self.walls.swept(
+            times, poses, velocities, self.footprint.whole, enough=margin
+        )
         allowed = margin + min(
             max(float(gaps[0]) - margin - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, margin)), 0.0
         )

@@ -35,11 +35,12 @@ def planner(name: str = "ig42", **changes: Any) -> Planner:
     """Return a planner with an anchor; changes as in `parameters`."""
     given = parameters(name, **changes)
     # Solvers take long to build and keep no state between calls.
-    return Planner(given, solvers=_solvers(name, tuple(sorted(changes.items()))))
+    return Planner(given, solvers=solver_pool(name, tuple(sorted(changes.items()))))
 
 
 @cache
-def _solvers(name: str, changes: tuple[tuple[str, Any], ...]) -> SolverPool:
+def solver_pool(name: str, changes: tuple[tuple[str, Any], ...] = ()) -> SolverPool:
+    """Return the shared solvers of a robot with changed parameters."""
     given = parameters(name, **dict(changes))
     return SolverPool(PlanningModel.of(given.robot), given.horizon)
 

@@ -1,12 +1,14 @@
 """Parameters of an optimal control problem from goal, obstacles and limits."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PlanTarget
@@ -30,6 +32,8 @@ CAUTIOUS_SPEED = 0.2  #: Speed that is always allowed, however close a moving ob
 DETAILED_OBSTACLES = 48
 #: Ratio of a plan's speed to its limit that is allowed for where its reach counts [-]
 SPEED_EXCESS = 1.1
+#: Part of the error to the poses that a guess follows which it reduces in a second [1/s]
+FOLLOWING_RATE = 1.5
 VOLTAGE_HEADROOM = 0.02  #: Part by which the voltage limit exceeds the back-EMF of the start [-]
 
 
@@ -111,6 +115,31 @@ class Problem:
         )
         driven = np.arange(steps) * step < duration - 0.5 * step
         result: Array = driven[:, None] * currents
+        return result
+
+    def along(self, start: Array, poses: Array) -> Array:
+        """Return currents (N, n) [A] that lead along poses (N, 3) in odom, one at each step's end.
+
+        Velocities follow those of the poses and reduce the error to them, both within the limits.
+        """
+        model, step = self.model, self.limits.parameters.horizon.step
+        top, rates = self.limits.speeds, np.array(self.limits.accelerations)
+        inverse = np.linalg.pinv(model.drive)
+        paces = np.diff(poses, axis=0, prepend=start[None, :3]) / step
+        pose, twist = start[:3], start[3:]
+        velocity = se2.to_world(float(pose[2]), twist)
+        currents = np.empty((len(poses), model.wheel_count))
+        for k, pace in enumerate(paces):
+            wanted = pace + FOLLOWING_RATE * (poses[k] - pace * step - pose)
+            wanted = _shortened(wanted, top)
+            change = _shortened(wanted - velocity, rates * step)
+            pose = pose + step * (velocity + 0.5 * change)
+            velocity = velocity + change
+            after = se2.to_robot(float(pose[2]), velocity)
+            free = np.asarray(model.free_rate(0.5 * (twist + after))[0])[:, 0]
+            currents[k] = inverse @ ((after - twist) / step - free)
+            twist = after
+        result: Array = np.clip(currents, -model.max_current, model.max_current)
         return result
 
     def _targets(self, start: Array, times: Array, goal: PlanTarget) -> tuple[Array, float]:
@@ -275,6 +304,14 @@ class Problem:
             pairs.ellipses,
             p.safety.clearance,
         )
+
+
+def _shortened(vector: Array, limits: Sequence[float] | Array) -> Array:
+    """Return a vector (3,) whose linear and angular part do not exceed their limits."""
+    linear = limits[0] / max(math.hypot(vector[0], vector[1]), limits[0])
+    angular = limits[1] / max(abs(vector[2]), limits[1])
+    result: Array = vector * np.array([linear, linear, angular])
+    return result
 
 
 def farthest_points(headings: Array, outline: Rectangles) -> Array:

@@ -13,6 +13,7 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
 MAX_COMPUTED_GAP = 0.3
+COARSE = 4  #: Number of spans between two samples that are checked together where walls are far
 CHUNK = 24  #: Number of poses that are checked together, against all discs near any of them
 
 
@@ -121,21 +122,46 @@ class Walls(Validated):
         return Walls(strip[beside], self.radius)
 
     def swept(
-        self, times: Array, poses: Array, velocities: Array, boxes: Rectangles
+        self,
+        times: Array,
+        poses: Array,
+        velocities: Array,
+        boxes: Rectangles,
+        enough: float = math.inf,
     ) -> tuple[Array, Array]:
         """Return gaps (K,) at samples of a motion, and lower bounds (K - 1,) between them [m].
 
         The distance changes by no more than L, the largest travel of any point of a box: between
         two samples it is (g0 + g1 - L) / 2 or more. Times increase; between two samples no speed
-        is above those at both of them.
+        is above those at both of them, nor between every COARSE-th sample.
 
         Args:
             poses: (K, 3) poses of base_link in odom [m, m, rad].
-            velocities: (K, 3) velocities in odom [m/s, m/s, rad/s]; between two samples no speed
-                is above those at both of them.
+            velocities: (K, 3) velocities in odom [m/s, m/s, rad/s].
+            enough: Gap above which a lower bound may stand for the gaps themselves, except before
+                the COARSE-th sample [m].
         """
-        gaps = self.gaps(poses, boxes)
         speed = np.hypot(velocities[:, 0], velocities[:, 1])
         speed = speed + boxes.radius.max() * np.abs(velocities[:, 2])
-        displacement = np.diff(times) * np.maximum(speed[:-1], speed[1:])
-        return gaps, 0.5 * (gaps[:-1] + gaps[1:] - displacement)
+        last = len(times) - 1
+        coarse = np.append(np.arange(0, last, COARSE), last)
+        nodes = np.empty(len(times))
+        nodes[coarse] = self.gaps(poses[coarse], boxes)
+        far = _between(times[coarse], nodes[coarse], speed[coarse])
+        is_far = far > enough
+        is_far[:1] = False
+        part = np.minimum(np.arange(last) // COARSE, len(far) - 1)
+        bound, is_far = far[part], is_far[part]
+        fine = np.ones(len(times), dtype=bool)
+        fine[coarse] = False
+        fine[:-1] &= ~is_far
+        nodes[fine] = self.gaps(poses[fine], boxes)
+        nodes[:-1][is_far & (np.arange(last) % COARSE > 0)] = enough
+        return nodes, np.where(is_far, bound, _between(times, nodes, speed))
+
+
+def _between(times: Array, gaps: Array, speed: Array) -> Array:
+    """Return lower bounds (K - 1,) of the gaps between samples at times (K,)."""
+    travel = np.diff(times) * np.maximum(speed[:-1], speed[1:])
+    result: Array = 0.5 * (gaps[:-1] + gaps[1:] - travel)
+    return result

@@ -10,7 +10,8 @@ from omniman_ros.planning.goals import PoseGoal, StateGoal
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.gap_rows import OBSTACLE
 from omniman_ros.planning.mpc.problem import Problem
-from omniman_ros.planning.mpc.transcription import SIDES
+from omniman_ros.planning.mpc.solver import Solver
+from omniman_ros.planning.mpc.transcription import SIDES, Transcription
 from omniman_ros.planning.obstacles.ellipses import inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
@@ -254,3 +255,25 @@ def test_a_problem_without_a_border_has_no_points_of_the_outline():
     goal = PoseGoal(np.array([1.0, 0.0, 0.0]))
     stage = problem.stage(np.zeros(6), a_line(), goal, pairs, SLOTS, confined=False)
     assert stage.extremes.shape == (STEPS, 0, 2)
+
+
+@pytest.mark.parametrize("turn", [-0.6, 0.0, 0.6])
+def test_currents_along_poses_lead_to_them(turn):
+    """From rest, at accelerations within the limits, round a bend."""
+    problem, solver = a_problem(), Solver(Transcription(model("ig42"), STEPS, STEP, 0, False))
+    times = STEP * np.arange(1.0, STEPS + 1.0)
+    way = 0.5 * 0.3 * times**2
+    poses = np.column_stack([way, 0.2 * way**2, turn * way])
+    states = solver.states(np.zeros(6), problem.along(np.zeros(6), poses))
+    np.testing.assert_allclose(states[1:, :3], poses, atol=0.02)
+
+
+def test_currents_along_poses_out_of_reach_stay_within_the_limits():
+    problem, solver = a_problem(), Solver(Transcription(model("ig42"), STEPS, STEP, 0, False))
+    poses = np.tile([50.0, -50.0, 3.0], (STEPS, 1))
+    currents = problem.along(np.zeros(6), poses)
+    assert (np.abs(currents) <= problem.model.max_current).all()
+    speed, rate = problem.limits.speeds
+    states = solver.states(np.zeros(6), currents)
+    assert np.hypot(states[:, 3], states[:, 4]).max() <= 1.05 * speed
+    assert np.abs(states[:, 5]).max() <= 1.05 * rate

@@ -6,7 +6,7 @@ import pytest
 
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.motion import HermiteTrajectory
-from omniman_ros.planning.obstacles.walls import CHUNK, MAX_COMPUTED_GAP, Walls
+from omniman_ros.planning.obstacles.walls import CHUNK, COARSE, MAX_COMPUTED_GAP, Walls
 
 HALF = np.array([0.4, 0.25])
 BOX = Rectangles.centred(HALF)
@@ -159,3 +159,19 @@ def test_speed_that_is_not_finite_has_no_bound():
     velocities[1, 0] = math.nan
     _, between = walls.swept(np.arange(3.0), np.zeros((3, 3)), velocities, BOX)
     assert not (between > 0.0).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bounds_above_what_is_enough_may_be_coarse_but_no_gap_below_is_missed(seed):
+    random = np.random.default_rng(seed)
+    walls, motion = some_walls(random, 25), a_swing(random)
+    times, poses, velocities = motion.fine(0.0, -math.inf, 4 * COARSE)
+    exact, exact_between = walls.swept(times, poses, velocities, BOX)
+    for enough in (-0.1, 0.02, 0.2):
+        nodes, between = walls.swept(times, poses, velocities, BOX, enough)
+        np.testing.assert_array_equal(between > enough, exact_between > enough)
+        near = exact_between <= enough
+        np.testing.assert_array_equal(between[near], exact_between[near])
+        np.testing.assert_array_equal(nodes[1:][near], exact[1:][near])
+        np.testing.assert_array_equal(between[:COARSE], exact_between[:COARSE])
+        assert (between <= exact_between + 1e-12).all()
