@@ -28,6 +28,8 @@ NEAREST = 10  #: Number of people, the nearest ones, by whom motions are ranked
 STANDING = 14  #: The same of what stands
 BEST = 3  #: Number of motions that are returned
 BRAKE_FACTOR = 0.8  #: Part of the deceleration with which motions come to rest at the goal
+#: Time after the arrival in which a contact counts: the robot would be met at the goal [s]
+LINGER = 1.0
 ARRIVED = 0.03  #: Distance from the goal below which a motion has arrived [m]
 ALIGN_DISTANCE = 1.5  #: Distance from the goal from which on the robot turns to the goal's heading
 CONTACT_COST, CONTACT_TIME = 8.0, 1.5  #: Cost of a contact at once [s], and its decay [s]
@@ -104,18 +106,17 @@ class VelocitySamples:
 
         Who is touched may not come closer. Margins grow with time, as the check has it.
         """
-        rate = self.limits.decelerations[0]
-        speed = np.hypot(velocities[:, 0], velocities[:, 1])
-        ticks = np.arange(0.0, float(speed.max()) / rate + BRAKING_TICK, BRAKING_TICK)
-        elapsed = np.minimum(ticks, speed[:, None] / rate)
-        way = elapsed - 0.5 * rate * elapsed**2 / np.maximum(speed, 1e-6)[:, None]
-        along = np.repeat(poses[:, None], len(ticks), axis=1)
-        along[..., :2] += way[..., None] * velocities[:, None, :2]
+        size = np.column_stack([np.hypot(velocities[:, 0], velocities[:, 1]), velocities[:, 2]])
+        ends = np.abs(size) / self.limits.decelerations
+        ticks = np.arange(0.0, float(ends.max()) + BRAKING_TICK, BRAKING_TICK)
+        elapsed = np.minimum(ticks[:, None], ends[:, None])
+        way = elapsed - 0.5 * elapsed**2 / np.maximum(ends, 1e-6)[:, None]
+        along = poses[:, None] + velocities[:, None] * way[..., [0, 0, 1]]
         least = self.limits.parameters.safety.least_clearance
         gaps = _gaps_to_each(along, self._half, near, time + ticks) - least
         gaps -= (near.growth * np.maximum(time + ticks - near.time, 0.0)[:, None])[None]
         allowed = np.minimum(gaps[:, :1], 0.0) - 1e-3
-        rests = ticks > speed[:, None] / rate + BRAKING_TICK
+        rests = ticks > ends.max(axis=1, keepdims=True) + BRAKING_TICK
         result: Mask = np.all((gaps >= allowed) | rests[..., None], axis=(1, 2))
         return result
 
@@ -210,14 +211,14 @@ class VelocitySamples:
     ) -> Array:
         """Return the costs (C,) of motions [s] with poses (C, K, 3) and least gaps (C, K).
 
-        Once a motion has arrived, a contact does not count: the robot drives to a goal that
-        somebody will cross.
+        A contact later than LINGER after the arrival does not count: the robot drives to a goal
+        that somebody will cross, but waits for who is there soon.
         """
         count, top = poses.shape[1], self.limits.speeds[0]
         left = np.hypot(goal[0] - poses[..., 0], goal[1] - poses[..., 1])
         rows, is_there = np.arange(len(poses)), (left < ARRIVED) & is_goal
         arrival = np.where(is_there.any(axis=1), is_there.argmax(axis=1), count)
-        touches = (gaps <= 0.0) & (np.arange(count) < arrival[:, None])
+        touches = (gaps <= 0.0) & (np.arange(count) < arrival[:, None] + LINGER / step)
         meets = touches.any(axis=1)
         first = np.where(meets, touches.argmax(axis=1), count - 1)
         times = step * np.arange(1.0, count + 1.0)

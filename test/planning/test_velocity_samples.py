@@ -79,6 +79,28 @@ def test_a_contact_after_arrival_counts_only_where_the_robot_has_to_remain():
     assert gaps.min() > 0.0
 
 
+def test_the_robot_does_not_arrive_where_it_would_be_met_at_once():
+    start, goal = [0.0, 0.0, 0.0, 0.3, 0.0, 0.0], [0.5, 0.0, 0.0]
+    soon, found = person(0.5, 1.9, 0.0, -1.0), samples()
+    waits = motions(found, start, goal, soon)[0]
+    gaps = _gaps_to_each(waits.poses[None], found._half, soon, waits.times)
+    assert gaps.min() > 0.0
+    alone = motions(samples(), start, goal)[0]
+    assert _gaps_to_each(alone.poses[None], found._half, soon, alone.times).min() < 0.0
+
+
+def test_who_stands_where_a_corner_of_the_braking_robot_turns_is_touched():
+    found = samples()
+    half = found._half
+    beside = person(0.9 * half[0], half[1] + 0.25 + 0.06)  # 6 cm from the side, near a corner
+
+    def can_rest(yaw_rate):
+        velocity = np.array([[0.0, 0.0, yaw_rate]])
+        return bool(found._can_rest(np.zeros((1, 3)), velocity, 0.0, beside)[0])
+
+    assert can_rest(0.0) and can_rest(0.2) and not can_rest(1.2)
+
+
 def test_the_best_motion_can_rest_before_who_comes():
     found = samples()
     wall = Ellipses.circles(0.0, [(1.6, y) for y in (-0.6, 0.0, 0.6)], (-0.5, 0.0), 0.25)
