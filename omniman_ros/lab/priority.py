@@ -31,23 +31,31 @@ def own_niceness(niceness: int, proc: Path = Path("/proc")) -> Iterator[None]:
     cores falls behind with what it receives, and hears of answers and reports many seconds late.
     """
     pid, account = os.getpid(), proc / "self" / "autogroup"
-    before, group = os.getpriority(os.PRIO_PROCESS, pid), ""
-    with contextlib.suppress(OSError):  # a kernel without groups
-        group = account.read_text(encoding="ascii")  # empty: a process that is in none
+    before, before_of_group = os.getpriority(os.PRIO_PROCESS, pid), _group_niceness(account)
     is_set = set_niceness(pid, niceness, proc)
-
-    def set_group(of_group: int) -> None:
-        if is_set and group:
-            with contextlib.suppress(OSError):  # refused, or written twice within 100 ms
-                account.write_text(str(of_group), encoding="ascii")
-
-    set_group(niceness)
+    if is_set and before_of_group is not None:
+        _set_group_niceness(account, niceness)
     try:
         yield
     finally:
         if is_set:
             set_niceness(pid, before, proc)
-        set_group(int(group.split()[-1] if group else 0))
+        if is_set and before_of_group is not None:
+            _set_group_niceness(account, before_of_group)
+
+
+def _group_niceness(account: Path) -> int | None:
+    """Return the niceness of a process's session; None where the kernel groups none."""
+    try:
+        words = account.read_text(encoding="ascii").split()
+    except OSError:
+        return None
+    return int(words[-1]) if words else None
+
+
+def _set_group_niceness(account: Path, niceness: int) -> None:
+    with contextlib.suppress(OSError):  # refused, or written twice within 100 ms
+        account.write_text(str(niceness), encoding="ascii")
 
 
 def scheduling(pid: int) -> str:

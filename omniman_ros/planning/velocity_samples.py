@@ -28,8 +28,7 @@ NEAREST = 10  #: Number of people, the nearest ones, by whom motions are ranked
 STANDING = 14  #: The same of what stands
 BEST = 3  #: Number of motions that are returned
 BRAKE_FACTOR = 0.8  #: Part of the deceleration with which motions come to rest at the goal
-#: Time after the arrival in which a contact counts: the robot would be met at the goal [s]
-LINGER = 1.0
+ARRIVAL_WATCH = 1.0  #: Time after the arrival at the goal in which a contact still counts [s]
 ARRIVED = 0.03  #: Distance from the goal below which a motion has arrived [m]
 ALIGN_DISTANCE = 1.5  #: Distance from the goal from which on the robot turns to the goal's heading
 CONTACT_COST, CONTACT_TIME = 8.0, 1.5  #: Cost of a contact at once [s], and its decay [s]
@@ -211,14 +210,14 @@ class VelocitySamples:
     ) -> Array:
         """Return the costs (C,) of motions [s] with poses (C, K, 3) and least gaps (C, K).
 
-        A contact later than LINGER after the arrival does not count: the robot drives to a goal
-        that somebody will cross, but waits for who is there soon.
+        A contact later than ARRIVAL_WATCH after the arrival does not count: the robot drives to a
+        goal that somebody will cross, but waits for who is there soon.
         """
         count, top = poses.shape[1], self.limits.speeds[0]
         left = np.hypot(goal[0] - poses[..., 0], goal[1] - poses[..., 1])
         rows, is_there = np.arange(len(poses)), (left < ARRIVED) & is_goal
         arrival = np.where(is_there.any(axis=1), is_there.argmax(axis=1), count)
-        touches = (gaps <= 0.0) & (np.arange(count) < arrival[:, None] + LINGER / step)
+        touches = (gaps <= 0.0) & (np.arange(count) < arrival[:, None] + ARRIVAL_WATCH / step)
         meets = touches.any(axis=1)
         first = np.where(meets, touches.argmax(axis=1), count - 1)
         times = step * np.arange(1.0, count + 1.0)

@@ -42,9 +42,9 @@ def an_optimizer():
     return PlanOptimizer(model("ig42"), EffectiveLimits(parameters("ig42")), solver_pool("ig42"))
 
 
-def a_request(start=None, walls=WALL):
+def a_request(walls=WALL):
     return PlanRequest(
-        np.zeros(6) if start is None else start,
+        np.zeros(6),
         0.0,
         RoundTheEnd(),
         Footprint(Rectangles.centred(model("ig42").half)),

@@ -13,7 +13,7 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
 MAX_COMPUTED_GAP = 0.3
-COARSE = 4  #: Number of spans between two samples that are checked together where walls are far
+COARSE = 4  #: Number of intervals that are checked as one where walls are far
 CHUNK = 24  #: Number of poses that are checked together, against all discs near any of them
 
 
