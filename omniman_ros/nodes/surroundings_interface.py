@@ -1,8 +1,5 @@
 """Topics with what is around the robot: obstacles, and a map of what stands."""
 
-import numpy as np
-
-from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.nodes.frame_transforms import FrameTransforms
@@ -13,7 +10,7 @@ from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.obstacles import Key
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
+from omniman_ros.planning.obstacles.surroundings import grid_obstacles
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 
 
@@ -58,21 +55,12 @@ class SurroundingsInterface:
         Obstacles are named by namespace and number of their markers, parts of the map by where
         their middles are.
         """
-        ellipses = self._obstacles.ellipses()
-        found = ellipse_surroundings(ellipses)
-        moves = found.is_moving
-        standing = found.obstacles.select(np.flatnonzero(~moves))
-        names = [_name(key) for key in self._obstacles.keys]
-        still = tuple(name for name, moved in zip(names, moves, strict=True) if not moved)
-        walking = tuple(name for name, moved in zip(names, moves, strict=True) if moved)
-        return ObstacleSnapshot(
+        return ObstacleSnapshot.of_ellipses(
             self._node.now(),
-            UprightObstacles.join([standing, self._standing]),
-            MovingObstacles(
-                found.obstacles.select(np.flatnonzero(moves)), found.velocity[:, moves]
-            ),
-            ellipses.growth[moves],
-            names=(*still, *self._standing_names, *walking),
+            self._obstacles.ellipses(),
+            [_name(key) for key in self._obstacles.keys],
+            self._standing,
+            self._standing_names,
         )
 
     def _use_map(self, grid: GridMap) -> None:

@@ -16,15 +16,12 @@ from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerPara
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
+from omniman_ros.planning.whole_body.progress_watch import BLOCKED, ProgressWatch
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
     from omniman_ros.planning.whole_body.task import BodyTask
 
-PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
-#: Time without progress after which the robot counts as waiting, and another way is searched for;
-#: least time between two searches [s].
-BLOCKED = 1.0
 DELAY_DECAY = 0.9  #: Factor by which the delay of plans that is expected falls from cycle to cycle
 LONGEST_SENT = 2.0  #: Longest time for which a motion is sent ahead [s]
 SENT_STEP = 0.2  #: Step of that time: a message with another number of points is made anew [s]
@@ -50,11 +47,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self.cycle_time = math.nan
         self._delay = 0.0  # until a plan is used, by the last cycles [s]
         self._sent_for = 0.0  # until the robot rests [s]
-        self._held = 0.0  # time for which a limit has held the robot [s]
-        self._no_path: NoPathError | None = None  # of the last search, until there is progress
         self._search: Future[None] | None = None
-        self._path_parameter = self._moved_at = self._cycled_at = 0.0
-        self._searched_at = -math.inf
+        self._watch = ProgressWatch(0.0)
 
     def configure(self, new: WholeBodyPlannerParameters) -> None:
         """Set new parameters, which apply from the next path on."""
@@ -92,8 +86,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self.core.follow(task)
         self._lead(self.core)
         self.output.begin(from_rest=True)
-        self._search = self._found = self._nearest = self._no_path = None
-        self._path_parameter, self._moved_at, self._cycled_at = 0.0, now, now
+        self._search = self._found = self._nearest = None
+        self._watch = ProgressWatch(now)
         length = task.redundancy.path.length()
         what = f"{length:.2f} m of the tool" if task.has_end else "the tool is held"
         self._announce(motion, what)
@@ -125,14 +119,14 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         """
         if self._found is not None:
             return self._found
-        if self._no_path is not None:
-            return self._no_path.obstruction
+        if self._watch.no_path is not None:
+            return self._watch.no_path.obstruction
         return self._nearest if self.waiting_time() >= BLOCKED else None
 
     def waiting_time(self) -> float:
         """Return how long there has been no progress [s]."""
         is_led = self.core.state is PathState.FOLLOWING
-        return self._node.now() - self._moved_at if is_led else 0.0
+        return self._watch.waiting_time(self._node.now()) if is_led else 0.0
 
     def waiting_reason(self) -> str:
         """Return why the robot waits on its path, or an empty string."""
@@ -140,18 +134,17 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             return ""
         if silence := self._surroundings.silence_reason():
             return silence
-        return str(self._no_path or self.obstruction or "the robot is slowed down")
+        return str(self._watch.no_path or self.obstruction or "the robot is slowed down")
 
     def plan(self) -> None:
         """Choose the motion for the next cycle, and give up if there is no way on."""
         begin, time_base = self._node.now(), self._motions.time_base
         now, pace = time_base.now(), time_base.pace
-        elapsed, self._cycled_at = begin - self._cycled_at, begin
         around = self._surroundings.obstacle_snapshot()
         ahead = self._motions.options.horizon
         outcome = self.core.cycle(now, pace.rate(begin), around, self._delay, ahead)
         if outcome is None:  # paused, braking or at its end: no progress is expected
-            self._moved_at += elapsed
+            self._watch.excuse(begin)
             self._found = self._nearest = None
             return
         self.cycle_time = self._node.now() - begin
@@ -160,39 +153,31 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self._sent_for = SENT_STEP * math.ceil(rest / SENT_STEP)
         self._found, self._nearest = outcome.obstruction, outcome.verdict.nearest
         if not self.core.task.has_end:
-            self._moved_at = begin
+            self._watch.excuse(begin)
             return
-        path_parameter = self.core.path_parameter(now)
-        if path_parameter > self._path_parameter + PROGRESS:
-            self._path_parameter, self._moved_at, self._no_path = path_parameter, begin, None
-        elif pace.target == 0.0 and not self._surroundings.silence_reason():
-            self._moved_at += elapsed  # who slows the robot down wants it to wait
-        held, self._held = self._held, self._held + elapsed if pace.target == 0.0 else 0.0
-        self._search_if_blocked(begin, now, is_held=held < BLOCKED <= self._held)
-        if begin - self._moved_at > self._motions.options.patience:
+        is_held = pace.target == 0.0
+        is_excused = is_held and not self._surroundings.silence_reason()
+        place = self.core.path_parameter(now)
+        self._watch.note(begin, place, is_held=is_held, is_excused=is_excused)
+        self._search_if_blocked(begin, now)
+        if self.waiting_time() > self._motions.options.patience:
             self.give_up(f"it waited in vain: {self.waiting_reason()}", brake=True)
 
-    def _search_if_blocked(self, now: float, motion_time: float, *, is_held: bool) -> None:
-        """Search for another way, in the background, as something stands in the way of this one.
-
-        Also while there is no progress, whatever the cause, and once where a limit holds the robot
-        for long: it may depend on where the robot wants to go.
-        """
+    def _search_if_blocked(self, now: float, motion_time: float) -> None:
+        """Search for another way in the background once that is due; take what was found."""
         if self._search is not None:
             if not self._search.done():
                 return
             search, self._search = self._search, None
             try:
                 search.result()
-                self._no_path = None
+                self._watch.no_path = None
             except NoPathError as error:
-                self._no_path = error
+                self._watch.no_path = error
             except Exception as error:  # raised in the thread; it must not end the node
                 self._node.get_logger().error(f"search failed: {type(error).__name__}: {error}")
-        stands = self._found is not None and self._found.cause is Cause.STANDING
-        is_blocked = stands or is_held or self.waiting_time() >= BLOCKED
-        if is_blocked and now - self._searched_at >= BLOCKED:
-            self._searched_at = now
+        is_obstructed = self._found is not None and self._found.cause is Cause.STANDING
+        if self._watch.is_search_due(now, is_obstructed=is_obstructed):
             task, around = self.core.task, self._surroundings.obstacle_snapshot()
             self._search = in_background(lambda: task.search(motion_time, around))
 

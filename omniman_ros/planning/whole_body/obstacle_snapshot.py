@@ -1,5 +1,6 @@
 """What the whole body keeps clear of: standing obstacles, and those that move or may move."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -12,6 +13,8 @@ from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import Range
 from omniman_ros.core.validated import Validated
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings
 
 #: Lowest pace at which what moves is predicted: below it, the robot all but stands
 SLOWEST_PACE = 0.1
@@ -50,6 +53,31 @@ class ObstacleSnapshot(Validated):
             raise InputError(
                 f"growth has shape {self.growth.shape}, expected ({len(self.moving)},)"
             )
+
+    @staticmethod
+    def of_ellipses(
+        time: float,
+        ellipses: Ellipses,
+        names: Sequence[str],
+        fixed: UprightObstacles | None = None,
+        fixed_names: tuple[str, ...] = (),
+    ) -> "ObstacleSnapshot":
+        """Return obstacles at a time [s] with their names, and others that are fixed."""
+        found = ellipse_surroundings(ellipses)
+        moves = found.is_moving
+        still, walking = (
+            tuple(name for name, moved in zip(names, moves, strict=True) if moved == which)
+            for which in (False, True)
+        )
+        standing = found.obstacles.select(np.flatnonzero(~moves))
+        chosen = np.flatnonzero(moves)
+        return ObstacleSnapshot(
+            time,
+            standing if fixed is None else UprightObstacles.join([standing, fixed]),
+            MovingObstacles(found.obstacles.select(chosen), found.velocity[:, moves]),
+            ellipses.growth[moves],
+            names=(*still, *fixed_names, *walking),
+        )
 
     @property
     def velocities(self) -> Array:
