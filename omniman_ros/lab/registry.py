@@ -101,14 +101,17 @@ BENCHMARKS = {
     ),
     "whole_body_obstacles": Study(
         "bench.whole_body_obstacles",
-        "the body avoids obstacles, the tool stays on its path, beside a fixed posture: completed "
-        "scenes, contacts, error of the tool, CPU time of a cycle",
+        "the body avoids obstacles in the physics world, the tool stays on its path, beside a "
+        "fixed posture: completed scenes, contacts, error of the tool, CPU time of a cycle",
+        (
+            option("--scenes", type=int, metavar="N", help="scenes of each kind; default: 25"),
+            JOBS,
+        ),
     ),
     "whole_body_running": Study(
         "bench.whole_body_running",
-        "the same scenes with all nodes as processes in the physics world: contacts, error of the "
-        "tool, CPU time of a cycle; nothing around, beside `path_interpolator`; a planner that is "
-        "killed or frozen",
+        "paths of the tool with all nodes as processes in the physics world and nothing around, "
+        "beside `path_interpolator`: error of the tool; a planner that is killed or frozen",
     ),
     "tracker": Study(
         "bench.tracker",

@@ -23,7 +23,7 @@ BENCHMARKS = (
     "world",
 )
 FEW = {"clutter": ["--worlds", "2"], "crowd": ["--worlds", "1"]}
-IN_WORLD = ("whole_body_running", "tracker", "clutter", "crowd", "world")
+IN_WORLD = ("whole_body_obstacles", "whole_body_running", "tracker", "clutter", "crowd", "world")
 EXPERIMENTS = ("coupling", "odometry", "tool_path", "free", "handover", "workshop")
 
 

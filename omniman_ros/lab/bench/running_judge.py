@@ -1,37 +1,24 @@
-"""Figures of a robot that was led along a path of its tool among obstacles, from its recording."""
+"""Figures of a robot that was led along a path of its tool, from its recording."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.measurement import spread_ms
-from omniman_ros.lab.studies.avoidance_scenes import AvoidanceScene
-from omniman_ros.lab.studies.running_body import ENDS, BodyRecording, thing_name
+from omniman_ros.lab.studies.running_body import ENDS, BodyRecording
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.simulation.world.distances import ConfigurationDistances
 
-STEP = 0.025  #: Time between two looks at the distances [s]
-REACH = 1.0  #: Largest distance that is measured [m]
 REST_SPEEDS = 0.005, 0.005  #: Speeds below which platform [m/s] and joints [rad/s] rest
-#: Speed of platform [m/s] or joints [rad/s] from which on a contact counts as the robot's
-MOVING = 0.02
 REST_TIME = 0.3  #: Time for which the robot must be slow to be at rest [s]
 LEAST_GAP_OF_TIME = 0.012  #: Least time between poses whose difference gives a speed [s]
 
 
 def outcome(recording: BodyRecording) -> dict[str, str]:
-    """Return what became of the path, by the keys of `motion_events` and `body/status`."""
+    """Return what became of the path, by the keys of `motion_events`."""
     end = recording.event(*ENDS)
-    statuses = [values for at, values in recording.statuses if end is None or at <= end[0]]
-    last = statuses[-1] if statuses else {}
-    result = "completed" if end and end[1] == "arrived" else end[1] if end else ""
-    result = result or ("waiting" if last.get("waits") else "not_there")
-    found = [values for values in statuses if values.get("obstruction")]
-    cause = found[-1] if found and result != "completed" else {}
-    keys = ("obstruction", "obstruction_place", "obstruction_part", "obstruction_by")
-    return {"outcome": result, **{key: cause.get(key, "") for key in keys}}
+    result = "not_there" if end is None else "completed" if end[1] == "arrived" else end[1]
+    return {"outcome": result}
 
 
 def span(recording: BodyRecording, limit: float) -> tuple[float, float] | None:
@@ -107,33 +94,6 @@ def largest_accelerations(recording: BodyRecording) -> dict[str, float]:
     }
 
 
-def gap_figures(
-    recording: BodyRecording, scene: AvoidanceScene, judge: ConfigurationDistances, until: float
-) -> dict[str, Any]:
-    """Return the least true distance of the robot from all things, and what touched it when."""
-    truth, joints = np.array(recording.truth), np.array(recording.true_joints)
-    begin = max(truth[0, 0], joints[0, 0])
-    times = np.arange(begin, min(until, truth[-1, 0], joints[-1, 0]), STEP)
-    robot = np.column_stack([*_columns(truth, times), *_columns(joints, times)])
-    gaps = []
-    for time, row in zip(times.tolist(), robot, strict=True):
-        judge.place(row[:3], row[4:10], scene.places_at(time - recording.begin))
-        gaps.append(judge.distances(REACH))
-    least, moving = np.array(gaps), np.maximum(robot[:, 3], robot[:, 10]) > MOVING
-    when, thing = np.unravel_index(int(least.argmin()), least.shape)
-    touched = least.min(axis=1) <= 0.0
-    felt = [at for at, _ in recording.contacts]
-    touched |= np.isin(np.arange(len(times)), np.searchsorted(times, felt))
-    return {
-        "least_gap_mm": 1e3 * float(least.min()),
-        "nearest": thing_name(int(thing)),
-        "nearest_at_s": float(times[when]),
-        "contact": bool((touched & moving).any()),
-        "contact_at_rest": bool(touched.any() and not (touched & moving).any()),
-        "engine_contacts": sorted({name for _, name in recording.contacts}),
-    }
-
-
 def cycle_figures(recording: BodyRecording, begin: float, end: float) -> dict[str, float]:
     """Return the CPU time of the planner's process between two messages on `body/status` [ms].
 
@@ -163,32 +123,6 @@ def movement(recording: BodyRecording, since: float) -> dict[str, float]:
     moved = np.linalg.norm(platform[:, 1:3] - platform[0, 1:3], axis=1).max()
     turned = np.abs(joints[:, 1:7] - joints[0, 1:7]).max()
     return {"platform_mm": 1e3 * float(moved), "joints_mrad": 1e3 * float(turned)}
-
-
-def summary(scenes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the figures of all scenes together."""
-    driven = [scene for scene in scenes if "path_rms_mm" in scene]
-    touched = [s["contact"] or s["contact_at_rest"] for s in scenes]
-    fine = [s["outcome"] in ("completed", "waiting") for s in scenes]
-    safe = [ok and not touch for ok, touch in zip(fine, touched, strict=True)]
-    done = [s for s in scenes if s["outcome"] == "completed"]
-    worst = {
-        key: max((scene[key] for scene in driven), default=None)
-        for key in ("path_rms_mm", "path_max_mm", "reference_rms_mm", "reference_max_mm")
-    }
-    medians = [scene["cycle"]["median_ms"] for scene in driven]
-    return {
-        "scenes": len(scenes),
-        "completed": len(done),
-        "safe": sum(safe),
-        "contacts": sum(bool(s["contact"]) for s in scenes),
-        "contacts_at_rest": sum(bool(s["contact_at_rest"]) for s in scenes),
-        "least_gap_mm": min(scene["least_gap_mm"] for scene in scenes),
-        "time_ratio": float(np.median([s["time_ratio"] for s in done])) if done else None,
-        "cycle_median_ms": float(np.median(medians)) if medians else None,
-        "cycle_max_ms": max((s["cycle"]["max_ms"] for s in driven), default=None),
-        **worst,
-    }
 
 
 def _columns(rows: Array, times: Array) -> list[Array]:

@@ -2,16 +2,18 @@
 
 Each scene is made around a witness, a motion of the platform that can do it: what stands or walks
 there keeps its distance from the witness, and stands or walks in the way of a robot that keeps its
-posture. The physics engine measures the distances of the robot from what is around it.
+posture. A crowd has no witness. The physics engine measures the distances of the robot from what
+is around it.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.parameters import ToolShape
 from omniman_ros.collision.upright_obstacles import UprightObstacles
@@ -51,6 +53,11 @@ KINDS = {
     "table": (TABLE,),
     "mixed": (POST, TABLE, PERSON),
 }
+CROWD, LATE = "crowd", "late"  #: Kinds of scenes without a promise that they can be done
+WALKERS = (4, 6)  #: least and largest number of persons in a crowd
+#: Distance of a walker's line from the tool's path [m], and from the robot before it begins [m]
+PASSING, BEFORE = 1.0, 1.5
+SIGHT = 2.0  #: distance from which on posts are seen that are seen late [m]
 SAMPLES = 40  #: number of configurations of a motion that are looked at where something is placed
 TRIED, TRIES = 60, 40  #: number of places that are tried at a time, and of witnesses for a scene
 
@@ -64,6 +71,13 @@ class AvoidanceScene:
     things: tuple[Prism, ...]  #: what is in the scene
     places: Array  #: (M, 2) where it is at the start [m]
     velocities: Array  #: (M, 2) velocities [m/s]
+    sight: float = math.inf  #: distance from which on what stands is seen [m]
+
+    def in_sight(self, robot: Array, places: Array) -> Indices:
+        """Return the numbers of what is seen from a position (2,), at places (M, 2) [m]."""
+        offset = places - robot
+        is_near = np.hypot(offset[:, 0], offset[:, 1]) <= self.sight
+        return np.flatnonzero(is_near | np.any(self.velocities, axis=1))
 
     def places_at(self, time: float) -> Array:
         """Return where everything is (M, 2) at a time [m]."""
@@ -119,7 +133,36 @@ class SceneGenerator:
 
     def scene(self, kind: str, seed: int) -> AvoidanceScene | None:
         """Return the scene of a kind for a seed, or None if none was found."""
-        rng = np.random.default_rng([list(KINDS).index(kind), seed])
+        rng = np.random.default_rng([[*KINDS, CROWD, LATE].index(kind), seed])
+        if kind == CROWD:
+            return self._crowd(rng)
+        if kind == LATE:
+            found = self._with_witness("posts", rng)
+            return None if found is None else replace(found, sight=SIGHT)
+        return self._with_witness(kind, rng)
+
+    def _crowd(self, rng: np.random.Generator) -> AvoidanceScene | None:
+        """Return a path across which people walk straight on, each at a speed of its own."""
+        poses = self._path(rng)
+        try:
+            fixed = self._planner.plan(poses, START).curve
+        except InputError:
+            return None
+        count = int(rng.integers(WALKERS[0], WALKERS[1] + 1))
+        starts, velocities = list[Array](), list[Array]()
+        while len(starts) < count:
+            way = fixed.sample(np.array([fixed.duration * rng.uniform()]))[0][0, :2]
+            spot = way + rng.uniform(-PASSING, PASSING, 2)
+            angle, speed = rng.uniform(-math.pi, math.pi), rng.uniform(*WALKING)
+            velocity = speed * np.array([math.cos(angle), math.sin(angle)])
+            start = spot - rng.uniform(0.2, 1.0) * fixed.duration * velocity
+            if np.hypot(*(start - START[:2])) > BEFORE:
+                starts.append(start)
+                velocities.append(velocity)
+        people = (PERSON,) * count
+        return AvoidanceScene(poses, fixed, people, np.array(starts), np.array(velocities))
+
+    def _with_witness(self, kind: str, rng: np.random.Generator) -> AvoidanceScene | None:
         for _ in range(TRIES):
             poses = self._path(rng)
             witness = self._witness(poses, rng)

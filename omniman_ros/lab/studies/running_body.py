@@ -2,22 +2,19 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from nav_msgs.msg import Path as PathMessage
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, Header
+from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
@@ -42,9 +39,6 @@ NODES = (
 )  #: Nodes besides the one that avoids obstacles
 ALL = QoSProfile(depth=5000)  #: Quality of service of reports of which none may be lost
 LOOKAHEAD = 0.02  #: How far simulated time may be ahead of this process [s]
-MARKER_PERIOD = 0.1  #: Period of `obstacles` [s]
-#: Time for which the robot sees a scene before it begins, and before which the path is sent [s]
-LEAD, PLANNING_TIME = 2.0, 0.4
 ENDS = ("refused", "replaced", "given_up", "cancelled", "arrived")  #: Last events of a motion
 START_TIMEOUT = 60.0  #: Time in which a robot must be ready, and a path start or be refused [s]
 
@@ -52,32 +46,6 @@ START_TIMEOUT = 60.0  #: Time in which a robot must be ready, and a path start o
 def process_time(pid: int) -> float:
     """Return the CPU time of all threads of a process, past ones included [s]; on Linux."""
     return time.clock_gettime((~pid << 3) | 2)
-
-
-def world_elements(scene: AvoidanceScene) -> dict[str, Any]:
-    """Return what stands in a scene as elements of the physics world.
-
-    The engine has no floating discs: a table is a cylinder from the floor to its top. For the
-    platform, which is higher, that is the same. Persons of the engine would push each other out
-    of the way that the scene gives them, so they are in the ground truth of the scene only.
-    """
-    posts = [
-        {
-            "name": thing_name(k),
-            "x": x,
-            "y": y,
-            "radius": thing.semi_axes[0],
-            "height": thing.heights[1],
-        }
-        for k, (thing, (x, y)) in enumerate(zip(scene.things, scene.places.tolist(), strict=True))
-        if not np.any(scene.velocities[k])
-    ]
-    return {"posts": posts}
-
-
-def thing_name(index: int) -> str:
-    """Return the name of a thing of a scene, in the world and as namespace of its marker."""
-    return f"thing {index}"
 
 
 @dataclass
@@ -90,12 +58,10 @@ class BodyRecording:
     true_joints: list[Array] = field(default_factory=list)  #: time, angles (6,), fastest rate
     references: list[Array] = field(default_factory=list)  #: time, position (3,) of the tool
     accelerations: list[Array] = field(default_factory=list)  #: time, largest of each joint (6,)
-    begin: float = 0.0  #: Time of the scene's beginning
     #: Time, name of the event, and its reason in words
     events: list[tuple[float, str, str]] = field(default_factory=list)
     statuses: list[tuple[float, dict[str, str]]] = field(default_factory=list)  #: `body/status`
     cycles: list[tuple[float, float]] = field(default_factory=list)  #: time, CPU time so far
-    contacts: list[tuple[float, str]] = field(default_factory=list)  #: time, parties
 
     def event(self, *names: str) -> tuple[float, str, str] | None:
         """Return the first event of one of these names, if any."""
@@ -103,7 +69,7 @@ class BodyRecording:
 
 
 class RunningBody:
-    """Processes of a robot among the things of a scene; it is told where they are."""
+    """Processes of a robot, and what they report."""
 
     def __init__(
         self, session: Session, children: ProcessGroup, joints: Sequence[str], avoids: bool
@@ -111,8 +77,6 @@ class RunningBody:
         self.session, self.children, self.recording = session, children, BodyRecording()
         self.progress = 0.0
         self._joints, self._avoids = joints, avoids
-        self._scene: AvoidanceScene | None = None
-        self._told = -np.inf
         self._subscribe()
         self._paths = session.node.create_publisher(PathMessage, "tool_path", 10)
         self._follower = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
@@ -127,7 +91,6 @@ class RunningBody:
         subscribe(JointTrajectory, "arm/joint_reference", self._on_preview, ALL)
         subscribe(DiagnosticStatus, EVENTS, self._on_event, ALL_LATCHED)
         subscribe(DiagnosticStatus, "body/status", self._on_status, ALL)
-        subscribe(DiagnosticArray, "contacts", self._on_contacts, ALL)
         subscribe(Float64, "path_progress", self._on_progress, ALL)
 
     def _on_progress(self, message: Float64) -> None:
@@ -170,22 +133,11 @@ class RunningBody:
             used = process_time(self.children.pid(WHOLE_BODY_PLANNER))
             self.recording.cycles.append((self.session.now(), used))
 
-    def _on_contacts(self, message: DiagnosticArray) -> None:
-        at = time_seconds(message.header.stamp)
-        self.recording.contacts += [(at, status.name) for status in message.status]
-
-    def tell(self, scene: AvoidanceScene) -> None:
-        """Tell the robot from now on where things are in a scene that begins in a while."""
-        # The robot waits for whoever could publish obstacles.
-        self._obstacles = self.session.node.create_publisher(MarkerArray, "obstacles", 10)
-        self._scene, self.recording.begin = scene, self.session.now() + LEAD
-
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Serve callbacks until a condition holds, and return whether it does [s of /clock]."""
 
         def checked() -> bool:
             self.children.check()
-            self._tell_obstacles()
             return condition()
 
         return self.session.wait(checked, timeout)
@@ -194,24 +146,6 @@ class RunningBody:
         """Wait likewise, or raise a CommandError that something is missing."""
         if not self.wait(condition, timeout):
             raise CommandError(f"{missing} within {timeout:g} s")
-
-    def _tell_obstacles(self) -> None:
-        now = self.session.now()
-        if self._scene is None or now < self._told + MARKER_PERIOD - 1e-6:
-            return
-        self._told = now
-        header = Header(frame_id="odom", stamp=self.session.node.get_clock().now().to_msg())
-        places = self._scene.places_at(now - self.recording.begin).tolist()
-        markers = []
-        for k, (thing, (x, y)) in enumerate(zip(self._scene.things, places, strict=True)):
-            low, high = thing.heights
-            marker = Marker(header=header, ns=thing_name(k), type=Marker.CYLINDER)
-            marker.pose.position.x, marker.pose.position.y = x, y
-            marker.pose.position.z = 0.5 * (low + high)
-            marker.scale.x, marker.scale.y = (2.0 * axis for axis in thing.semi_axes)
-            marker.scale.z = high - low
-            markers.append(marker)
-        self._obstacles.publish(MarkerArray(markers=markers))
 
     def is_ready(self) -> bool:
         """Whether the robot reports, and takes a path of the tool."""
@@ -246,18 +180,17 @@ def running_body(
     robot: str,
     joints: Sequence[str],
     folder: Path,
-    elements: Mapping[str, Any],
     posture: Sequence[float],
     avoids: bool = True,
 ) -> Iterator[RunningBody]:
-    """Run a robot in a world that consists of these elements, as a context.
+    """Run a robot in a physics world with nothing around, as a context.
 
     Args:
         posture: (6,) angles at which the arm is at first [rad].
         avoids: Whether `whole_body_planner` takes the paths of the tool, or `path_interpolator`.
     """
     world = folder / "scene.yaml"
-    world.write_text(yaml.safe_dump(dict(elements)))
+    world.write_text("{}")
     setup = RobotSetup(
         robot=robot,
         only=(*NODES, WHOLE_BODY_PLANNER) if avoids else NODES,
@@ -286,9 +219,6 @@ def running_body(
 def start(body: RunningBody, scene: AvoidanceScene) -> None:
     """Lead the tool along the path of a scene until the motion starts, or will not."""
     body.demand(body.is_ready, START_TIMEOUT, "the robot is not ready")
-    if scene.things:
-        body.tell(scene)
-        body.wait(lambda: False, LEAD - PLANNING_TIME)
     body.lead(scene.poses)
     rec = body.recording
     body.demand(lambda: rec.event("started", *ENDS) is not None, START_TIMEOUT, "no start")

@@ -59,10 +59,12 @@ def case(ratio):
 
 CLUTTER_RUN = clutter.ClutterRun(0, True, (), 5.0, 2.45, (0.01, 0.02))
 CROWD_RUN = crowd.CrowdRun(60.0, 5, 0, 1, (0.025, 0.025))
-DODGED = {"completed": True, "least_gap_mm": 50.0, "time_ratio": 1.3, "search_s": 1.0}
-DODGED |= {"tool_rms_mm": 1.0, "tool_max_mm": 3.0}
-DODGED |= {"cycle": {"median_ms": 10.0, "p99_ms": 20.0, "max_ms": 50.0}}
-SCENES = [dict.fromkeys(whole_body_obstacles.METHODS, DODGED)]
+DODGED = {"kind": "posts", "seed": 0, "completed": True, "stop": "", "contact": False}
+DODGED |= {"contact_at_rest": False, "least_gap_mm": 50.0, "time_ratio": 1.3, "search_s": 1.0}
+DODGED |= {"tool_rms_mm": 1.0, "tool_max_mm": 3.0, "cycle_times": [0.01, 0.01, 0.02]}
+PROMISED, DEMANDING = (
+    ("groups", group, whole_body_obstacles.AVOIDS) for group in whole_body_obstacles.GROUPS
+)
 JUST_MET = {
     control: {
         "core_tick_us": {"velocity": 50.0, "torque": 100.0},
@@ -89,9 +91,9 @@ JUST_MET = {
     crowd: {"drives": {kind: {crowd.PLANNER: crowd.figures([CROWD_RUN])} for kind in crowd.KINDS}},
     tracker: {name: counted() for name in ("people", "sudden", "crowd")},
     whole_body_obstacles: {
-        "methods": {
-            method: whole_body_obstacles.summary(SCENES, method)
-            for method in whole_body_obstacles.METHODS
+        "groups": {
+            group: {whole_body_obstacles.AVOIDS: whole_body_obstacles.summary([DODGED])}
+            for group in whole_body_obstacles.GROUPS
         }
     },
     world: {
@@ -128,10 +130,12 @@ WORSE = [
     (tracker, ("people", "false_movers"), 2),
     (tracker, ("people", "identities_kept"), 94),
     (tracker, ("crowd", "cpu_share"), 0.26),
-    (whole_body_obstacles, ("methods", "dodging", "contacts"), 1),
-    (whole_body_obstacles, ("methods", "dodging", "clear"), 0),
-    (whole_body_obstacles, ("methods", "dodging", "tool_rms_mm"), 1.1),
-    (whole_body_obstacles, ("methods", "dodging", "cycle_max_ms"), 51.0),
+    (whole_body_obstacles, (*PROMISED, "contacts"), 1),
+    (whole_body_obstacles, (*PROMISED, "clear"), 0),
+    (whole_body_obstacles, (*PROMISED, "fast"), 0),
+    (whole_body_obstacles, (*PROMISED, "tool_rms_mm"), 1.1),
+    (whole_body_obstacles, (*PROMISED, "cycle", "max_ms"), 51.0),
+    (whole_body_obstacles, (*DEMANDING, "safe"), 0),
     (world, ("factor", "rollers"), 4.9),
     (world, ("node", "rollers", "driving"), 0.31),
     (world, ("scan", "core_share"), 0.021),
@@ -165,12 +169,13 @@ def test_an_aim_that_nothing_decides_is_neither_met_nor_missed():
         "cycle, N=10 M=10 over N=10 M=4",
         "closed-loop cost over IPOPT's, N=10 M=4",
     ]
-    refused = {"completed": False, "refused": "no way", "least_gap_mm": None}
-    scenes = [{**SCENES[0], "dodging": refused}]
-    methods = {name: whole_body_obstacles.summary(scenes, name) for name in SCENES[0]}
-    met = aims(whole_body_obstacles.report({"methods": methods}))
-    assert met.pop("completed without contact") is False
-    assert met.pop("contacts") is True and set(met.values()) == {None}
+    refused = {**DODGED, "completed": False, "stop": "no way", "cycle_times": []}
+    del refused["search_s"]
+    group, method = PROMISED[1:]
+    found = {method: whole_body_obstacles.summary([refused])}
+    undecided = aims(whole_body_obstacles.report({"groups": {group: found}}))
+    assert sum(met is None for met in undecided.values()) == 4
+    assert sum(met is False for met in undecided.values()) == 2
 
 
 def test_compiled_functions_are_judged_only_beside_acados():
