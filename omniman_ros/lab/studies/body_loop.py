@@ -6,7 +6,7 @@ with noise, and a plan counts once it is there. What drives the robot is an argu
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -46,6 +46,7 @@ OBSERVED = 0.1  #: Period of the observations [s]
 NOISE = 0.01  #: Standard deviation of an observed position, along each axis [m]
 #: Shortest time between two previews of the arm from cycle to cycle [s]
 CORRECTED = 0.018
+REST_TIME = 1.0  #: Time for which a robot is watched that has stopped early [s]
 
 
 class BodyDriver(Protocol):
@@ -120,37 +121,51 @@ class BodyLoop:
         self.record = BodyRecord()
 
     def run(self, driver: BodyDriver, limit: float) -> BodyRecord:
-        """Drive until the path is completed, the robot has stopped, or a time is over [s]."""
+        """Drive until the path is completed, or a time is over [s].
+
+        A robot that stops early is watched until it rests.
+        """
         record, arm_due, cycle_due, busy_until = self.record, self._arm.period, BEGIN, 0.0
-        for k in range(round((BEGIN + limit) / STEP)):
+        end = BEGIN + limit
+        for k in range(round(end / STEP)):
             clock = k * STEP
             now = clock - BEGIN
-            try:
-                if clock >= self._platform.now:
-                    self._drive(now)
-                self._observe(now)
-                if clock >= cycle_due - 0.5 * STEP:
-                    cycle_due += CYCLE
-                    driver.cycle(now, self.measured(), self._around(now))
-                    busy_until = clock + ANSWER
-                    self._sent = -np.inf
-                if clock >= busy_until:
-                    self._correct(driver, now)
-                while self._previews and self._previews[0][0] <= clock:
-                    self._follow(*self._previews.popleft()[1:], clock)
-                if clock >= arm_due:
-                    self._platform.drives.advance(arm_due)  # the joints are in its world
-                    angles = self._arm.cycle(arm_due)
-                    row = [arm_due - BEGIN, *angles, *driver.tool(arm_due - BEGIN)]
-                    record.arm.append(np.array(row))
-                    arm_due += self._arm.period
-            except (StudyError, InputError) as error:
-                record.stop = str(error)
-                return record
+            if clock >= self._platform.now:
+                self._drive(now)
+            self._observe(now)
+            if clock >= cycle_due - 0.5 * STEP:
+                cycle_due += CYCLE
+                self._attempt(driver.cycle, now, self.measured(), self._around(now))
+                busy_until = clock + ANSWER
+                self._sent = -np.inf
+            if clock >= busy_until:
+                self._attempt(self._correct, driver, now)
+            while self._previews and self._previews[0][0] <= clock:
+                self._attempt(self._follow, *self._previews.popleft()[1:], clock)
+            if clock >= arm_due:
+                self._platform.drives.advance(arm_due)  # the joints are in its world
+                angles = self._arm.cycle(arm_due)
+                row = [arm_due - BEGIN, *angles, *driver.tool(arm_due - BEGIN)]
+                record.arm.append(np.array(row))
+                arm_due += self._arm.period
             if driver.is_completed:
                 record.completed_at = now
-                return record
+                break
+            if record.stop:
+                end = min(end, clock + REST_TIME)
+            if clock >= end:
+                break
         return record
+
+    def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
+        """Take a step of what drives the robot, unless it has stopped; note why it stops."""
+        if self.record.stop:
+            return
+        try:
+            step(*arguments)
+            self._platform.check("the platform")
+        except (StudyError, InputError) as error:
+            self.record.stop = str(error)
 
     def measured(self) -> Array:
         """Return the axes (9,) as odometry and the arm's encoders have them."""
@@ -162,7 +177,6 @@ class BodyLoop:
         measured = loop.now
         loop.drives.advance(measured)
         loop.step()
-        loop.check("the platform")
         pose = np.array(loop.controller.odometry.pose)
         time = measured - BEGIN
         self.record.platform.append(np.array([time, *pose, *loop.truth]))

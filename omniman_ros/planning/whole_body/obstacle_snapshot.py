@@ -18,6 +18,9 @@ from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings
 
 #: Lowest pace at which what moves is predicted: below it, the robot all but stands
 SLOWEST_PACE = 0.1
+#: Speed from which on an obstacle moves, over the rate at which the margin around it grows: that
+#: rate is the standard deviation of its velocity, and a small share of its speed
+SIGNIFICANT = 1.5
 
 
 def _nothing() -> MovingObstacles:
@@ -62,9 +65,13 @@ class ObstacleSnapshot(Validated):
         fixed: UprightObstacles | None = None,
         fixed_names: tuple[str, ...] = (),
     ) -> "ObstacleSnapshot":
-        """Return obstacles at a time [s] with their names, and others that are fixed."""
+        """Return obstacles at a time [s] with their names, and others that are fixed.
+
+        A velocity that is within its uncertainty is noise: who evades a post as if it moved to and
+        fro shakes the robot.
+        """
         found = ellipse_surroundings(ellipses)
-        moves = found.is_moving
+        moves = found.is_moving & (np.hypot(*found.velocity) > SIGNIFICANT * ellipses.growth)
         still, walking = (
             tuple(name for name, moved in zip(names, moves, strict=True) if moved == which)
             for which in (False, True)

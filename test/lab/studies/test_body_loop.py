@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+
+from omniman_ros.lab.bench.whole_body_obstacles import judged
+from omniman_ros.lab.studies.avoidance_scenes import POST, START, AvoidanceScene, SceneGenerator
+from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture
+from omniman_ros.lab.studies.body_loop import BodyLoop
+from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from omniman_ros.processes.robot_setup import resolve_robot
+from omniman_ros.robots import robot_parameters
+
+pytest.importorskip("mujoco")
+
+GENERATOR = SceneGenerator("omniman")
+
+
+def scene_with_post(x, y):
+    """The tool moves 0.6 m ahead; a post stands at a position."""
+    poses = GENERATOR.model.forward(START)[None].repeat(12, axis=0)
+    poses[:, 0, 3] += np.linspace(0.05, 0.6, 12)
+    planner = ToolPlanner(GENERATOR.model, GENERATOR.setup.limits, GENERATOR.setup.path)
+    fixed = planner.plan(poses, START).curve
+    return AvoidanceScene(poses, fixed, (POST,), np.array([[x, y]]), np.zeros((1, 2)))
+
+
+def driven(scene, driver):
+    robot = dict(robot_parameters(resolve_robot("omniman")))
+    record = BodyLoop(robot, "ideal", scene, START[3:], 1).run(driver, 12.0)
+    return judged(GENERATOR, scene, record)
+
+
+def test_the_body_evades_a_post_that_the_fixed_posture_touches():
+    scene, setup = scene_with_post(0.9, -0.3), GENERATOR.setup
+    found = driven(scene, AvoidingBody(setup, scene.poses))
+    assert found["completed"] and found["least_gap_mm"] > 20.0
+    assert found["tool_rms_mm"] < 1.0 and found["tool_max_mm"] < 3.0
+    blind = driven(scene, FixedPosture(setup, scene.poses))
+    assert blind["contact"]
+    waiting = driven(scene, FixedPosture(setup, scene.poses, scene.things))
+    assert not waiting["completed"] and not waiting["contact"]
+
+
+def test_an_impossible_path_ends_with_the_reason():
+    scene = scene_with_post(*GENERATOR.model.forward(START)[:2, 3] + [0.5, 0.0])
+    found = driven(scene, AvoidingBody(GENERATOR.setup, scene.poses))
+    assert not found["completed"] and "thing 0" in found["stop"]
