@@ -34,7 +34,7 @@ from omniman_ros.lab.studies.avoidance_scenes import (
     AvoidanceScene,
     SceneGenerator,
 )
-from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture
+from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture, ReactiveDriver
 from omniman_ros.lab.studies.body_loop import BodyDriver, BodyLoop, BodyRecord
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
@@ -50,7 +50,7 @@ MOVING = 0.02
 PROMISED, DEMANDING = "scenes that can be done", "crowds, and posts seen late"
 GROUPS = {PROMISED: tuple(KINDS), DEMANDING: (CROWD, LATE)}
 AVOIDS = "the body avoids"
-METHODS = (AVOIDS, "fixed posture that waits", "fixed posture")
+METHODS = (AVOIDS, "reactive (NEO)", "fixed posture that waits", "fixed posture")
 COMPLETED_AIM = {PROMISED: 0.97, DEMANDING: 0.9}  #: Aims: least fractions of scenes
 FAST_AIM, FAST_RATIO = 0.9, 1.3  #: Aim: least fraction of scenes up to a time, over the unhindered
 RMS_AIM, OFF_AIM = 1.0, 3.0  #: Aims: largest root mean square and error of the tool [mm]
@@ -83,8 +83,9 @@ def _drivers(
     setup, poses = generator.setup, scene.poses
     return {
         AVOIDS: lambda: AvoidingBody(setup, poses),
-        METHODS[1]: lambda: FixedPosture(setup, poses, scene.things),
-        METHODS[2]: lambda: FixedPosture(setup, poses),
+        METHODS[1]: lambda: ReactiveDriver(setup, poses),
+        METHODS[2]: lambda: FixedPosture(setup, poses, scene.things),
+        METHODS[3]: lambda: FixedPosture(setup, poses),
     }
 
 

@@ -1,4 +1,4 @@
-"""What leads the tool along its path in `BodyLoop`: the whole body, and a fixed posture."""
+"""What leads the tool along its path in `BodyLoop`: the whole body, and what it is beside."""
 
 import time
 from typing import Protocol
@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.studies.body_loop import ANSWER
+from omniman_ros.lab.studies.reactive_body import ReactiveBody
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.pace import LimitUsage, Pace, Window
 from omniman_ros.motion.path.parameters import TICK
@@ -14,7 +15,7 @@ from omniman_ros.motion.whole_body.correction import LedTool, ToolStream
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
-from omniman_ros.planning.whole_body.controller import CycleOutcome
+from omniman_ros.planning.whole_body.controller import PERIOD, CycleOutcome
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
 from omniman_ros.planning.whole_body.parameters import BodySetup
@@ -28,6 +29,12 @@ SPACING = 2  #: Ticks between two points of a preview
 AHEAD = np.arange(0.0, 1.0 + 1e-9, 0.1)  #: Times at which a robot that waits looks ahead [s]
 AHEAD_GAP = 0.05  #: Gap below which it waits [m]
 UNSEEN = 1e3  #: Coordinate of what has not been seen [m]
+
+
+def _preview_times(now: float, horizon: float) -> Array:
+    first = np.floor(now / TICK + 1e-6)
+    times: Array = TICK * (first + np.arange(0, int(horizon / TICK) + 1, SPACING))
+    return times
 
 
 class PacedMotion(LedTool, Protocol):
@@ -66,8 +73,7 @@ class LedBody:
 
     def window(self, now: float, horizon: float) -> Window:
         """Return the motion (k, 9) from now on."""
-        first = np.floor(now / TICK + 1e-6)
-        times = TICK * (first + np.arange(0, int(horizon / TICK) + 1, SPACING))
+        times = _preview_times(now, horizon)
         window, _ = self._tool.corrected(times, self.pace, self.motion.planned, lambda t: t)
         return window
 
@@ -254,3 +260,58 @@ class FixedPosture:
     def tool(self, now: float) -> Array:
         """Return where the tool is to be; see `BodyDriver`."""
         return self._rest if self._led is None else self._led.tool(now)
+
+
+class ReactiveDriver:
+    """A reactive controller, whose rates become the platform's and the arm's motion.
+
+    The rates of a cycle are reached from those before within a period. It begins two periods after
+    the cycle, as the arm's setpoints are sent ahead by its servo's lag.
+    """
+
+    def __init__(self, setup: BodySetup, poses: Array) -> None:
+        self._setup, self._poses = setup, poses
+        self._body: ReactiveBody | None = None
+        self._times: list[float] = []
+        self._positions: list[Array] = []
+        self._rates: list[Array] = []
+        self._rest: Array = np.zeros(3)
+
+    @property
+    def is_completed(self) -> bool:
+        """Whether the tool rests at the end of its path."""
+        return self._body is not None and self._body.is_completed
+
+    def cycle(self, now: float, axes: Array, around: ObstacleSnapshot) -> None:
+        """Choose the rates; see `BodyDriver`."""
+        if self._body is None:
+            self._body = ReactiveBody(self._setup, self._poses, axes)
+            self._times, self._positions = [now, now + 2.0 * PERIOD], [axes, axes]
+            self._rates = [np.zeros(len(axes))] * 2
+        rates = self._body.cycle(axes, now, around)
+        mean = 0.5 * (self._rates[-1] + rates)
+        self._times.append(self._times[-1] + PERIOD)
+        self._positions.append(self._positions[-1] + PERIOD * mean)
+        self._rates.append(rates)
+
+    def correct(self, time: float, pose: Array) -> None:
+        """Do nothing: the next cycle measures the pose."""
+
+    def window(self, now: float) -> Window | None:
+        """Return the motion from now on; see `BodyDriver`."""
+        if self._body is None:
+            return None
+        times = _preview_times(now, HORIZON)
+        knots, rates = np.array(self._times), np.array(self._rates)
+        index = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 1)
+        change = np.vstack([np.diff(rates, axis=0), np.zeros(rates.shape[1])]) / PERIOD
+        elapsed, acceleration = (times - knots[index])[:, None], change[index]
+        rate = rates[index] + elapsed * acceleration
+        position = np.array(self._positions)[index] + 0.5 * elapsed * (rates[index] + rate)
+        return Window(times, position, rate, acceleration)
+
+    def tool(self, now: float) -> Array:
+        """Return where the tool is to be; see `BodyDriver`."""
+        if self._body is not None:
+            self._rest = self._body.path.pose(np.array([self._body.place]))[0, :3, 3]
+        return self._rest

@@ -46,6 +46,8 @@ OBSERVED = 0.1  #: Period of the observations [s]
 NOISE = 0.01  #: Standard deviation of an observed position, along each axis [m]
 #: Shortest time between two previews of the arm from cycle to cycle [s]
 CORRECTED = 0.018
+#: Time for which the arm may refuse previews before the motion is given up [s]
+REFUSED = 0.2
 REST_TIME = 1.0  #: Time for which a robot is watched that has stopped early [s]
 
 
@@ -117,7 +119,7 @@ class BodyLoop:
         self._random = np.random.default_rng(seed)
         self._poses: deque[tuple[float, float, Array]] = deque()
         self._previews: deque[tuple[float, Window, bool]] = deque()
-        self._sent = self._told = -np.inf
+        self._sent = self._told = self._accepted = -np.inf
         self.record = BodyRecord()
 
     def run(self, driver: BodyDriver, limit: float) -> BodyRecord:
@@ -232,7 +234,12 @@ class BodyLoop:
         """Pass a preview that has arrived to the arm, and to the platform as well."""
         times = window.times + BEGIN
         arm = window.columns(JOINT_COLUMNS)
-        self._arm.preview(times, arm.positions, arm.velocities, arm.accelerations, clock)
+        try:
+            self._arm.preview(times, arm.positions, arm.velocities, arm.accelerations, clock)
+            self._accepted = clock
+        except InputError as error:  # the last one is followed
+            if clock - self._accepted > REFUSED:
+                raise StudyError(f"arm/joint_reference is refused: {error}") from error
         if is_first:
             base = window.columns(PLATFORM_COLUMNS)
             parts = base.positions, base.velocities, base.accelerations

@@ -42,6 +42,8 @@ FEEDBACK = 2.0  #: Rate of the tool's error that is wanted, over the error [1/s]
 LAG = 0.05  #: Error of the tool with which the path waits for it [m]
 ROWS = 24  #: Number of gaps that have dampers
 #: Fraction of what the accelerations allow that a damper of each kind asks for at most
+#: Fraction of the limits on acceleration that a cycle uses; the rest is for joining previews
+ACCELERATION = 0.6
 ATTAINED = np.array([0.5, 0.5, 0.1])
 #: Influence distances [m], and closing speeds there [m/s], of gaps to the robot itself, to what
 #: stands, and to what moves
@@ -83,7 +85,7 @@ class ReactiveBody:
         self._stop = np.array([o.own_clearance, o.clearance, o.moving_clearance])
         vector = np.array([DIAGONAL] * 2 + [1.0] * (1 + JOINTS))
         self._fastest: Array = vector * setup.limits.velocity
-        self._change: Array = PERIOD * vector * setup.limits.acceleration
+        self._change: Array = PERIOD * ACCELERATION * vector * setup.limits.acceleration
         count = ROWS + len(setup.limits.wheels)
         self._program = QuadraticProgram.of_masks(
             np.ones((AXES, AXES)),

@@ -23,6 +23,9 @@ from omniman_ros.planning.whole_body.task import BodyTask
 END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
 #: Step below which two motion times are the same, because motion time stands [s]
 SHORTEST_STEP = 1e-6
+#: Time by which setpoints of the arm are sent before they are due, as its servo lags, and what
+#: transport takes [s]: until then, a new plan cannot move the arm
+ARM_LEAD = 0.07
 #: Least motion time for which a motion is sent before it brakes [s]: a plan begins after a period
 LEAST_AHEAD = 3.0 * PERIOD
 
@@ -83,7 +86,8 @@ class AvoidanceMotion:
         controller = self.task.controller
         if now + PERIOD > self._brakes_at:  # this comes late: the robot brakes by now
             controller.motion = self.sent
-        outcome = self.task.cycle(now, around.slowed(now, pace), now + pace * delay)
+        ready = now + pace * (delay + ARM_LEAD)
+        outcome = self.task.cycle(now, around.slowed(now, pace), ready)
         self._brakes_at = now + max(pace * (delay + ahead), LEAST_AHEAD)
         self._sent = controller.braked(controller.motion, self._brakes_at)
         return outcome

@@ -146,7 +146,8 @@ class PlanCheck:
             part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
             return Obstruction(cause, float(places[k]), part, around.labels()[index])
 
-        touches = np.flatnonzero((gaps <= 0.0).any(axis=1))
+        # What is touched already counts for the gap alone: who leaves it must not touch others.
+        touches = np.flatnonzero((gaps[:, gaps[0] > 0.0] <= 0.0).any(axis=1))
         contact = float(times[touches[0]]) if len(touches) else math.inf
         least = min(float(gaps.min()), o.moving_clearance)
         grown = gaps.copy()

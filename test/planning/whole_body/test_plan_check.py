@@ -21,11 +21,11 @@ def task():
     return WholeBodyTask(SETUP, straight(0.8), START, 0.0, ObstacleSnapshot())
 
 
-def shifted(y, step):
-    """Return a motion of the platform to the side [m] within 0.1 s; the tool stays."""
+def shifted(y, step, seconds=0.1):
+    """Return a motion of the platform to the side [m]; the tool stays."""
     z = np.zeros((2, 4))
     z[:, 1] = y, y + step
-    return HermiteTrajectory(np.array([0.0, 0.1]), z, np.zeros((2, 4)), np.zeros((1, 0)))
+    return HermiteTrajectory(np.array([0.0, seconds]), z, np.zeros((2, 4)), np.zeros((1, 0)))
 
 
 def test_small_approaches_do_not_add_up_and_who_is_too_near_may_leave(task):
@@ -49,6 +49,14 @@ def test_small_approaches_do_not_add_up_and_who_is_too_near_may_leave(task):
         assert judged(shifted(y, STEP)).is_clear, "it leaves"
     verdict = judged(shifted(y, -0.1 * STEP))
     assert not verdict.is_clear and verdict.obstructed_at <= 0.1
+
+
+def test_what_is_touched_already_does_not_hide_what_would_be_touched_next(task):
+    """A post that overlaps the platform is behind it; another one is to its side."""
+    around = posts((-0.4, 0.0), (0.0, -0.6))
+    motions = [shifted(0.0, -0.3, 3.0), shifted(0.0, 0.1, 3.0)]
+    aside, away = task.controller._check.judge(motions, 0.0, 3.0, around)
+    assert 0.5 < aside.contact < 3.0 and away.contact == np.inf and away.gap < 0.0
 
 
 def walker(speed):
