@@ -122,7 +122,8 @@ class Surroundings:
         Returns:
             Time at which the robot itself touches an obstacle at its predicted position, without
             any margin [s], and the smallest gap until then or until the end, less the distance by
-            which the robot leaves the workspace, its margin included [m].
+            which the robot leaves the workspace, its margin included [m]. What it touches already
+            counts for the gap alone: whoever gets away from it must not touch something else.
         """
         times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
         contact, gap = self._contact_and_gap(motion, now, times, poses, velocities)
@@ -138,11 +139,13 @@ class Surroundings:
         reached = within_distance(times, poses, velocities, boxes, certain, MARGIN_TOLERANCE)
         if not reached.any():
             return wall, MARGIN_TOLERANCE if wall == math.inf else 0.0
-        gaps = swept_gap(times, poses, velocities, boxes.select(reached), certain.select(reached))
-        least = gaps.min(axis=1)
-        touched = ~(least > 0.0)
-        first = int(touched.argmax()) if touched.any() else len(least) - 1
+        boxes, near = boxes.select(reached), certain.select(reached)
+        gaps = swept_gap(times, poses, velocities, boxes, near)
+        at = times[:1]
+        start = box_gap(poses[:1], boxes, near.centers_at(at), near.axes_at(at), near.angles)[0]
+        touched = ~(gaps[:, start > 0.0] > 0.0).all(axis=1)
+        first = int(touched.argmax()) if touched.any() else len(gaps) - 1
         contact = float(times[first]) if touched.any() else math.inf
         if wall < contact:
             return wall, 0.0
-        return contact, min(float(least[: first + 1].min()), MARGIN_TOLERANCE)
+        return contact, min(float(gaps[: first + 1].min()), MARGIN_TOLERANCE)
