@@ -98,24 +98,34 @@ class WholeBodyTask(BodyTask):
     def __init__(
         self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
     ) -> None:
-        model = WholeBodyModel(setup.description.mount)
-        limits, options, o = setup.limits, setup.path, setup.dodge
-        ToolPlanner(model, limits, options).require_valid(poses, start)
-        path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
-        resolver = RedundancyResolver(model, limits, options)
-        resolver.signs(start[3:])  # raises on a singularity, where there is no branch
-        redundancy = ToolRedundancy(model, path, start[3:])
-        coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
-        self._search = PlatformPathSearch(
-            redundancy, path, coarse, resolver, limits, options.singularity, o.way
-        )
+        self._search = path_search(setup, poses, start)
         way = self._search.find(np.append(start[:3], 0.0), around)
-        super().__init__(setup, redundancy, way, start, time)
+        super().__init__(setup, self._search.redundancy, way, start, time)
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew; see the base class."""
         at, _ = self.controller.motion.sample(time)
         self.way = self._search.find(at, around)
+
+
+def path_search(setup: BodySetup, poses: Array, start: Array) -> PlatformPathSearch:
+    """Return the search for ways of the platform while the tool is led along poses (k, 4, 4).
+
+    Raises:
+        InputError: The input is invalid, the path is too far away, or the arm starts (9,) near a
+            singularity.
+    """
+    model = WholeBodyModel(setup.description.mount)
+    limits, options, o = setup.limits, setup.path, setup.dodge
+    ToolPlanner(model, limits, options).require_valid(poses, start)
+    path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
+    resolver = RedundancyResolver(model, limits, options)
+    resolver.signs(start[3:])  # raises on a singularity, where there is no branch
+    redundancy = ToolRedundancy(model, path, start[3:])
+    coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
+    return PlatformPathSearch(
+        redundancy, path, coarse, resolver, limits, options.singularity, o.way
+    )
 
 
 class ToolHold(BodyTask):

@@ -1,0 +1,125 @@
+"""Goals of the tool: the straight way there, or one around what stands.
+
+Around, the robot is carried as a whole: its platform drives a route over (x, y, heading) while the
+arm keeps the posture of the start. The route leads to a pose of the platform from which the arm
+reaches the goal, and the tool goes straight there from the end of the route. Either way is a path
+of the tool, on which the search of :class:`WholeBodyTask` is free to choose the motion.
+"""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.upright_obstacles import UprightObstacles
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.se2 import wrap
+from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
+from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
+from omniman_ros.planning.obstacles.clearance import Clearance
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.planning.route.search import RouteSearch
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import BodySetup
+from omniman_ros.planning.whole_body.platform_path import NoPathError
+from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
+
+#: Gap of the route relative to that of a way of the platform: a route halves it between its nodes
+GAP_FACTOR = 2.0
+ROOM = 4.0  #: Distance around start and goal that a route may use [m]
+RESOLUTION = 0.1  #: Edge of the route's lattice [m]
+HEADINGS = 16  #: Number of headings of the route's lattice
+WORK = 400_000  #: Largest effort of one search for a route [expansions]
+TRIES = 3  #: Number of ends of a route that are tried
+APART = (
+    0.5  #: Least distance between two of them [m]; a rotation by 1 rad counts as ROTATION_LENGTH
+)
+BEFORE = (0.0, 0.3, 0.6)  #: Distances of a route's end from the platform's pose at the goal [m]
+PIECE = 0.1  #: Length of a long obstacle for which one disc stands, at least [m]
+
+
+def tool_goal_task(
+    setup: BodySetup, goal: Array, start: Array, time: float, around: ObstacleSnapshot
+) -> WholeBodyTask:
+    """Return the task that leads the tool to a pose (4, 4) in odom, from axes (9,) at rest.
+
+    Raises:
+        InputError: The input is invalid, the arm starts near a singularity, or the goal is out of
+            reach or there is no way to it, not even around (:class:`NoPathError`).
+        SolverError: casadi has no HPIPM.
+    """
+    tool = WholeBodyModel(setup.description.mount).forward(start)
+    straight = np.stack([tool, goal])
+    ends = path_search(setup, straight, start).ends(start[:3], around)
+    try:
+        return WholeBodyTask(setup, straight, start, time, around)
+    except NoPathError as error:
+        found = error.obstruction
+    on_platform = np.linalg.inv(planar_transform(start[:3])) @ tool
+    away = ends[:, :2] - goal[:2, 3]
+    away /= np.maximum(np.hypot(*away.T), 1e-9)[:, None]
+    # What stands under the goal leaves no room for the posture of the start: it stays before.
+    before = [np.column_stack([ends[:, :2] + d * away, ends[:, 2]]) for d in BEFORE]
+    for poses in _routes(setup, np.concatenate(before), start, around.standing):
+        carried = planar_transform(poses) @ on_platform
+        try:
+            return WholeBodyTask(setup, np.concatenate([carried, goal[None]]), start, time, around)
+        except NoPathError:
+            continue
+    raise NoPathError(f"{found}, and there is no way around", found)
+
+
+def _routes(
+    setup: BodySetup, ends: Array, start: Array, standing: UprightObstacles
+) -> Iterator[Array]:
+    """Yield routes of the robot in its posture at the start (9,) to some of the ends (n, 3).
+
+    A route is poses (k, 3) of the platform, close to one another.
+    """
+    margin = GAP_FACTOR * setup.dodge.way.margin
+    outline = BodyOutline(setup.description, setup.tool, setup.load)
+    footprint = outline.footprint(start[None, 3:], setup.dodge.way.margin)
+    discs = covering_discs(standing)
+    corners = np.stack([start[:2], ends[0, :2]])
+    (x_min, y_min), (x_max, y_max) = corners.min(axis=0) - ROOM, corners.max(axis=0) + ROOM
+    workspace = x_min, y_min, x_max, y_max
+    left = ends[Clearance(footprint, discs, workspace, margin + PIECE).gaps(ends) > margin]
+    for _ in range(TRIES):
+        if not len(left):
+            return
+        end = left[0]
+        problem = RouteProblem(
+            start[:3], end, footprint, margin, (1.0, 1.0 / ROTATION_LENGTH), discs, None, workspace
+        )
+        search = RouteSearch(problem, RESOLUTION, HEADINGS)
+        search.advance(WORK)
+        if search.route is not None:
+            yield search.route.samples(footprint.radius)[1]
+        turn = ROTATION_LENGTH * np.abs([wrap(angle) for angle in (left - end)[:, 2].tolist()])
+        left = left[np.hypot(*(left - end)[:, :2].T) + turn > APART]
+
+
+def covering_discs(obstacles: UprightObstacles) -> Ellipses:
+    """Return discs that cover obstacles at their heights: several for a long one."""
+    long, short = obstacles.half.max(axis=0), obstacles.half.min(axis=0)
+    yaw = obstacles.yaw + 0.5 * math.pi * (obstacles.half[1] > obstacles.half[0])
+    count = np.maximum(np.ceil(long / np.maximum(short, PIECE)), 1.0).astype(np.intp)
+    owner = np.repeat(np.arange(len(count)), count)
+    index = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    piece = (long / count)[owner]
+    along = (2.0 * index + 1.0) * piece - long[owner]
+    centre = obstacles.centre[:, owner] + along * np.stack([np.cos(yaw), np.sin(yaw)])[:, owner]
+    radius = np.hypot(piece, short[owner]) + obstacles.rounding[owner]
+    flat = np.zeros(len(owner))
+    return Ellipses(
+        0.0,
+        centre.T,
+        np.zeros((len(owner), 2)),
+        np.column_stack([radius, radius]),
+        flat,
+        flat,
+        obstacles.lower[owner],
+        obstacles.upper[owner],
+    )
