@@ -32,6 +32,7 @@ ROOM = 4.0  #: Distance around start and goal that a route may use [m]
 RESOLUTION = 0.1  #: Edge of the route's lattice [m]
 HEADINGS = 16  #: Number of headings of the route's lattice
 WORK = 400_000  #: Largest effort of one search for a route [expansions]
+ENDS = 400  #: Number of poses of the platform at the goal that are looked at, about
 TRIES = 3  #: Number of ends of a route that are tried
 APART = (
     0.5  #: Least distance between two of them [m]; a rotation by 1 rad counts as ROTATION_LENGTH
@@ -58,6 +59,7 @@ def tool_goal_task(
     except NoPathError as error:
         found = error.obstruction
     on_platform = np.linalg.inv(planar_transform(start[:3])) @ tool
+    ends = ends[:: max(1, len(ends) // ENDS)]
     away = ends[:, :2] - goal[:2, 3]
     away /= np.maximum(np.hypot(*away.T), 1e-9)[:, None]
     # What stands under the goal leaves no room for the posture of the start: it stays before.
