@@ -325,6 +325,23 @@ def test_the_tool_goes_around_a_post_to_its_goal():
         assert world.tool_errors().max() < 1e-4 and world.gap > 0.02
 
 
+@pytest.mark.exhaustive
+def test_a_goal_whose_way_is_blocked_later_is_reached_by_another_one():
+    post = Post(START[0, 3] + 0.7, START[1, 3], 0.1, (0.0, 1.5))
+    with DodgeWorld(post, is_source_silent=True) as world:
+        send_goal(world, 1.5, 0.0, 0.0)
+        world.run_to_motion_start()
+        world.is_source_silent = False
+        while not world.body.idle:
+            world.run(0.5)
+            search = world.body._search  # in real time
+            world._await(lambda search=search: search is None or search.done(), "the search")
+        assert world.body.log.text == "arrived"
+        end = world.tool_references[-1].pose.position
+        assert [end.x, end.y, end.z] == pytest.approx(START[:3, 3] + [1.5, 0, 0], abs=6e-4)
+        assert world.tool_errors().max() < 1e-3 and world.gap > 0.02
+
+
 def test_a_goal_replaces_what_is_driven_and_begins_where_the_robot_rests(world):
     world.lead()
     world.run(2.0)

@@ -76,7 +76,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
 
         setup, now = self._setup(), self._motions.time_base.now()
         around = self._surroundings.obstacle_snapshot()
-        return lambda: tool_goal_task(setup, poses[-1], start, now, around)
+        return lambda: tool_goal_task(setup, poses[-1], start[None], now, around)
 
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
         """Return what makes a task that holds the tool where it is, from positions (9,)."""
@@ -198,6 +198,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             try:
                 search.result()
                 self._no_path = None
+                if self.core.take_detour(motion_time):
+                    self._path_parameter, self._moved_at = 0.0, now
             except NoPathError as error:
                 self._no_path = error
             except Exception as error:  # raised in the thread; it must not end the node

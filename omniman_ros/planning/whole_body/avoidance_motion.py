@@ -23,6 +23,7 @@ from omniman_ros.planning.whole_body.task import BodyTask
 END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
 #: Step below which two motion times are the same, because motion time stands [s]
 SHORTEST_STEP = 1e-6
+SAME = 1e-4  #: Difference up to which two positions of an axis are the same [m, rad]
 #: Least motion time for which a motion is sent before it brakes [s]: a plan begins after a period
 LEAST_AHEAD = 3.0 * PERIOD
 
@@ -50,6 +51,21 @@ class AvoidanceMotion:
         self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
         self._sent, self._brakes_at = task.controller.motion, math.inf
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
+
+    def take_detour(self, now: float) -> bool:
+        """Follow the detour that the task has found, and return whether there is one.
+
+        One that does not begin where the tool rests at a motion time is dropped.
+        """
+        detour, self.task.detour = self.task.detour, None
+        if detour is None or self.state is not PathState.FOLLOWING or not self.task.rests(now):
+            return False
+        at = self.task.axes(np.array([now]))
+        detour.controller.begin(now, np.append(at[0, :PATH_PARAMETER], 0.0))
+        if np.abs(detour.axes(np.array([now])) - at).max() > SAME:
+            return False
+        self.follow(detour)
+        return True
 
     @property
     def sent(self) -> HermiteTrajectory:

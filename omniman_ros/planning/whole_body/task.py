@@ -20,6 +20,8 @@ from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
 from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
 
+REST = 1e-3  #: Rate of the coordinates below which a robot that waits rests [m/s, rad/s]
+
 
 class BodyTask:
     """Platform and arm while the tool is led: along a path, or held at a place.
@@ -28,6 +30,7 @@ class BodyTask:
 
     Attributes:
         has_end: Whether the task ends by itself, so that progress is expected.
+        detour: Task that begins where the robot waits and may take the place of this one.
 
     Raises:
         InputError: The arm starts near a singularity.
@@ -35,6 +38,7 @@ class BodyTask:
     """
 
     has_end = True
+    detour: "BodyTask | None" = None
 
     def __init__(
         self,
@@ -77,6 +81,10 @@ class BodyTask:
     def axes(self, times: Array) -> Array:
         """Return all axes (k, 9) at times (k,) [s] of the motion that is followed."""
         return self.redundancy.axes(self.controller.motion.at(times)[0])
+
+    def rests(self, time: float) -> bool:
+        """Return whether the robot is at rest at a time [s], but for its giving way slowly."""
+        return bool(np.abs(self.controller.motion.sample(time)[1]).max() < REST)
 
     def is_completed(self, time: float) -> bool:
         """Return whether the tool is at rest at the end of the path at a time [s]."""

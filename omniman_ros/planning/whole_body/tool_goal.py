@@ -14,7 +14,9 @@ import numpy as np
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.se2 import wrap
+from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.planning.obstacles.clearance import Clearance
@@ -38,36 +40,77 @@ APART = (
     0.5  #: Least distance between two of them [m]; a rotation by 1 rad counts as ROTATION_LENGTH
 )
 BEFORE = (0.0, 0.3, 0.6)  #: Distances of a route's end from the platform's pose at the goal [m]
+DETOUR_PERIOD = 5.0  #: Least time between two searches for a detour [s]
+RETREAT = 0.5  #: Length of the path on which the tool goes back before a detour [m]
+RETREAT_STEPS = 11  #: Number of poses on it
 PIECE = 0.1  #: Length of a long obstacle for which one disc stands, at least [m]
 
 
+class ToolGoalTask(WholeBodyTask):
+    """Leads the tool along a path to a goal, and looks for another path where that one is blocked.
+
+    See the base class for the arguments; the goal is the last of the poses.
+    """
+
+    def __init__(
+        self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
+    ) -> None:
+        super().__init__(setup, poses, start, time, around)
+        self._setup, self._goal, self._tried_at = setup, poses[-1], -math.inf
+
+    def search(self, time: float, around: ObstacleSnapshot) -> None:
+        """Find the way of the platform anew, or a `detour` of the tool if there is none.
+
+        A detour begins at rest, and is looked for every `DETOUR_PERIOD` at most.
+        """
+        try:
+            super().search(time, around)
+        except NoPathError as error:
+            if not self.rests(time) or time - self._tried_at < DETOUR_PERIOD:
+                raise
+            self._tried_at = time
+            now = self.controller.motion.sample(time)[0]
+            places = np.linspace(now[-1], max(now[-1] - RETREAT, 0.0), RETREAT_STEPS)
+            back = np.column_stack([self.way.at(places)[0], places])
+            axes = self.redundancy.axes(np.vstack([now, back[1:]]))
+            try:
+                self.detour = tool_goal_task(self._setup, self._goal, axes, time, around)
+            except InputError:
+                raise error from None
+
+
 def tool_goal_task(
-    setup: BodySetup, goal: Array, start: Array, time: float, around: ObstacleSnapshot
-) -> WholeBodyTask:
-    """Return the task that leads the tool to a pose (4, 4) in odom, from axes (9,) at rest.
+    setup: BodySetup, goal: Array, axes: Array, time: float, around: ObstacleSnapshot
+) -> ToolGoalTask:
+    """Return the task that leads the tool to a pose (4, 4) in odom.
+
+    The robot is at rest at the first of axes (k, 9). It can go along them to the last, where a way
+    around what stands begins.
 
     Raises:
         InputError: The input is invalid, the arm starts near a singularity, or the goal is out of
             reach or there is no way to it, not even around (:class:`NoPathError`).
         SolverError: casadi has no HPIPM.
     """
-    tool = WholeBodyModel(setup.description.mount).forward(start)
-    straight = np.stack([tool, goal])
+    if axes.ndim != 2 or axes.shape[1] != AXES:
+        raise InputError(f"axes have shape {axes.shape}, expected (k, {AXES})")
+    tool, start = WholeBodyModel(setup.description.mount).forward(axes), axes[0]
+    straight = np.stack([tool[0], goal])
     ends = path_search(setup, straight, start).ends(start[:3], around)
     try:
-        return WholeBodyTask(setup, straight, start, time, around)
+        return ToolGoalTask(setup, straight, start, time, around)
     except NoPathError as error:
         found = error.obstruction
-    on_platform = np.linalg.inv(planar_transform(start[:3])) @ tool
+    on_platform = np.linalg.inv(planar_transform(axes[-1, :3])) @ tool[-1]
     ends = ends[:: max(1, len(ends) // ENDS)]
     away = ends[:, :2] - goal[:2, 3]
     away /= np.maximum(np.hypot(*away.T), 1e-9)[:, None]
     # What stands under the goal leaves no room for the posture of the start: it stays before.
     before = [np.column_stack([ends[:, :2] + d * away, ends[:, 2]]) for d in BEFORE]
-    for poses in _routes(setup, np.concatenate(before), start, around.standing):
-        carried = planar_transform(poses) @ on_platform
+    for poses in _routes(setup, np.concatenate(before), axes[-1], around.standing):
+        way = np.concatenate([tool, planar_transform(poses) @ on_platform, goal[None]])
         try:
-            return WholeBodyTask(setup, np.concatenate([carried, goal[None]]), start, time, around)
+            return ToolGoalTask(setup, way, start, time, around)
         except NoPathError:
             continue
     raise NoPathError(f"{found}, and there is no way around", found)
