@@ -76,7 +76,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
 
         setup, now = self._setup(), self._motions.time_base.now()
         around = self._surroundings.obstacle_snapshot()
-        return lambda: tool_goal_task(setup, poses[-1], start[None], now, around)
+        return lambda: tool_goal_task(setup, poses[-1], start, now, around)
 
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
         """Return what makes a task that holds the tool where it is, from positions (9,)."""

@@ -16,7 +16,6 @@ from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.se2 import wrap
-from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.planning.obstacles.clearance import Clearance
@@ -72,29 +71,37 @@ class ToolGoalTask(WholeBodyTask):
             now = self.controller.motion.sample(time)[0]
             places = np.linspace(now[-1], max(now[-1] - RETREAT, 0.0), RETREAT_STEPS)
             back = np.column_stack([self.way.at(places)[0], places])
-            axes = self.redundancy.axes(np.vstack([now, back[1:]]))
+            start, *before = self.redundancy.axes(np.vstack([now, back]))
             try:
-                self.detour = tool_goal_task(self._setup, self._goal, axes, time, around)
+                self.detour = tool_goal_task(
+                    self._setup, self._goal, start, time, around, np.array(before)
+                )
             except InputError:
                 raise error from None
 
 
 def tool_goal_task(
-    setup: BodySetup, goal: Array, axes: Array, time: float, around: ObstacleSnapshot
+    setup: BodySetup,
+    goal: Array,
+    start: Array,
+    time: float,
+    around: ObstacleSnapshot,
+    back: Array | None = None,
 ) -> ToolGoalTask:
-    """Return the task that leads the tool to a pose (4, 4) in odom.
+    """Return the task that leads the tool to a pose (4, 4) in odom, from axes (9,) at rest.
 
-    The robot is at rest at the first of axes (k, 9). It can go along them to the last, where a way
-    around what stands begins.
+    Args:
+        back: Axes (k, 9) through which the robot can leave its start; a way around what stands
+            begins at the last. None: it begins at the start.
 
     Raises:
         InputError: The input is invalid, the arm starts near a singularity, or the goal is out of
             reach or there is no way to it, not even around (:class:`NoPathError`).
         SolverError: casadi has no HPIPM.
     """
-    if axes.ndim != 2 or axes.shape[1] != AXES:
-        raise InputError(f"axes have shape {axes.shape}, expected (k, {AXES})")
-    tool, start = WholeBodyModel(setup.description.mount).forward(axes), axes[0]
+    axes = start[None] if back is None else back
+    model = WholeBodyModel(setup.description.mount)
+    tool = model.forward(np.vstack([start, axes]))
     straight = np.stack([tool[0], goal])
     ends = path_search(setup, straight, start).ends(start[:3], around)
     try:

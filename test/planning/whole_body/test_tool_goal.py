@@ -64,14 +64,14 @@ def assert_arrives(task, target):
 
 def test_a_free_way_is_straight_and_ends_at_the_goal():
     target = goal(3.0, 1.0, 0.1, 2.0)
-    task = tool_goal_task(SETUP, target, START[None], 0.0, ObstacleSnapshot())
+    task = tool_goal_task(SETUP, target, START, 0.0, ObstacleSnapshot())
     assert_arrives(task, target)
     assert task.redundancy.path.length() == pytest.approx(math.hypot(3.0, 1.0, 0.1), abs=1e-3)
 
 
 def test_a_wall_is_passed_at_its_end():
     target, around = goal(3.0, 0.0, 0.1, 1.0), walls(WALL)
-    task = tool_goal_task(SETUP, target, START[None], 0.0, around)
+    task = tool_goal_task(SETUP, target, START, 0.0, around)
     assert_arrives(task, target)
     x, low, high = WALL
     half = 0.5 * THICKNESS
@@ -87,7 +87,7 @@ def test_a_goal_above_a_table_behind_a_wall_is_reached_from_before_the_table():
     table = UprightObstacles.box((4.85, 0.27, 0.0), 0.8, 1.2, (0.0, 0.6))
     around = ObstacleSnapshot(standing=UprightObstacles.join([walls(WALL).standing, table]))
     target = goal(4.0, 0.0, 0.25)
-    assert_arrives(tool_goal_task(SETUP, target, START[None], 0.0, around), target)
+    assert_arrives(tool_goal_task(SETUP, target, START, 0.0, around), target)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -96,7 +96,7 @@ def test_every_place_of_a_way_among_posts_is_clear(seed):
     places = [(1.6, TOOL[1, 3]), *rng.uniform([1.0, -2.0], [3.5, 2.0], (6, 2)).tolist()]
     around = posts(*places)
     target = goal(4.5, rng.uniform(-1.0, 1.0), 0.0, rng.uniform(-3.0, 3.0))
-    task = tool_goal_task(SETUP, target, START[None], 0.0, around)
+    task = tool_goal_task(SETUP, target, START, 0.0, around)
     assert_arrives(task, target)
     assert least_gap(task, [(x, y, 0.1) for x, y in places]) > SETUP.dodge.least_clearance
 
@@ -105,7 +105,7 @@ def test_a_goal_without_a_way_is_refused_with_place_part_and_obstacle():
     with pytest.raises(
         NoPathError, match=r"_link has .* obstacle wall/0, .* no way around"
     ) as got:
-        tool_goal_task(SETUP, goal(3.0, 0.0), START[None], 0.0, walls((2.0, -12.0, 12.0)))
+        tool_goal_task(SETUP, goal(3.0, 0.0), START, 0.0, walls((2.0, -12.0, 12.0)))
     assert got.value.obstruction.cause is Cause.STANDING
     assert 0.5 < got.value.obstruction.path_parameter < 1.5
 
@@ -123,7 +123,7 @@ def test_a_goal_without_a_way_is_refused_with_place_part_and_obstacle():
 )
 def test_a_goal_that_cannot_be_is_refused(target, around, words):
     with pytest.raises(InputError, match=words):
-        tool_goal_task(SETUP, target, START[None], 0.0, around)
+        tool_goal_task(SETUP, target, START, 0.0, around)
 
 
 def test_discs_cover_what_they_stand_for():
@@ -142,7 +142,7 @@ def test_discs_cover_what_they_stand_for():
 def test_a_goal_whose_path_is_blocked_later_gets_another_one_from_where_the_robot_rests():
     target, wall = goal(1.5, 0.0), walls((1.4, -1.2, 0.6))
     motion = AvoidanceMotion(SETUP.limits)
-    motion.follow(tool_goal_task(SETUP, target, START[None], 0.0, ObstacleSnapshot()))
+    motion.follow(tool_goal_task(SETUP, target, START, 0.0, ObstacleSnapshot()))
     for k in range(400):
         now = k * PERIOD
         motion.cycle(now, 1.0, wall)
@@ -160,7 +160,7 @@ def test_a_goal_whose_path_is_blocked_later_gets_another_one_from_where_the_robo
 
 def test_a_detour_is_dropped_while_the_robot_moves():
     motion = AvoidanceMotion(SETUP.limits)
-    motion.follow(tool_goal_task(SETUP, goal(0.5, 0.0), START[None], 0.0, ObstacleSnapshot()))
+    motion.follow(tool_goal_task(SETUP, goal(0.5, 0.0), START, 0.0, ObstacleSnapshot()))
     for k in range(20):
         motion.cycle(k * PERIOD, 1.0, ObstacleSnapshot())
     motion.task.detour = motion.task
