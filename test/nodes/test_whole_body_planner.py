@@ -313,6 +313,7 @@ def send_goal(world, *offset, **options):
     world.run(2 * PERIOD)
 
 
+@pytest.mark.exhaustive
 def test_the_tool_goes_around_a_post_to_its_goal():
     post = Post(START[0, 3] + 0.7, START[1, 3], 0.1, (0.0, 1.5))
     with DodgeWorld(post) as world:
