@@ -19,8 +19,8 @@ The public names, each imported when it is first used:
 * Motions along given paths: `PathInterpolator`; `JointInterpolator`, `JointPlanner` and
   `AxisLimits`; `ToolPlanner`; `ArmModel`, `WholeBodyModel`; `Preview` and `HermiteTrajectory`.
 * Planning among obstacles, MPC 2021 and beyond: `Planner` with `MeasuredState`, `PoseGoal`,
-  `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask` with `ObstacleSnapshot`,
-  `MovingObstacles` and `UprightObstacles`. Need casadi.
+  `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask` and
+  `tool_goal_task` with `ObstacleSnapshot`, `MovingObstacles` and `UprightObstacles`. Need casadi.
 * Simulation: `SimulatedDrives` on a plant, or in a `World` of physics, which needs mujoco-core,
   with a `Scene` of `Wall`, `Post`, `Table` and `Person`, or one by `load_scene`, and a `Scanner`.
 * Drives on a CAN bus: `CanDrives` by `CanParameters`; `DriveAxis` with `AxisState`, `Demand` and
@@ -100,6 +100,7 @@ if TYPE_CHECKING:
         ObstacleSnapshot as ObstacleSnapshot,
     )
     from omniman_ros.planning.whole_body.task import WholeBodyTask as WholeBodyTask
+    from omniman_ros.planning.whole_body.tool_goal import tool_goal_task as tool_goal_task
     from omniman_ros.recording.recordings import read_recording as read_recording
     from omniman_ros.recording.recordings import write_recording as write_recording
     from omniman_ros.recording.robot_log import RobotLog as RobotLog
@@ -155,6 +156,7 @@ _PUBLIC = {
     "planning.planner": ("Planner",),
     "planning.whole_body.obstacle_snapshot": ("ObstacleSnapshot",),
     "planning.whole_body.task": ("WholeBodyTask",),
+    "planning.whole_body.tool_goal": ("tool_goal_task",),
     "recording.recordings": ("read_recording", "write_recording"),
     "recording.robot_log": ("RobotLog",),
     "robot_model": ("RobotModel", "load_robot"),
@@ -175,6 +177,7 @@ _OF_EXTRAS = {
     "WholeBodyTask": "PLANNING",
     "World": "WORLD",
     "read_recording": "RECORDING",
+    "tool_goal_task": "PLANNING",
     "write_recording": "RECORDING",
 }
 

@@ -34,6 +34,7 @@ FIGURES = {
     "10_odometry_of_a_bag": {"parted": (0.03, 0.15)},
     "11_drive_protocol": {"at_rest": (0.3, 0.6)},
     "12_canopen_master": {"fastest": (20.0, 21.0), "turns": (29.5, 30.3)},
+    "13_tool_goal_behind_a_wall": {"length": (4.5, 6.5), "off": (0.0, 1e-6)},
 }
 
 

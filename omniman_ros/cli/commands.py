@@ -51,9 +51,9 @@ COMMANDS = {
     ),
     "tool": Subcommand(
         "omniman_ros.cli.motion",
-        "move the tool along a straight line to a position; Ctrl-C cancels",
+        "move the tool straight, or around obstacles, to a position; Ctrl-C cancels",
         add_tool,
-        ("tool 2 0.3 0.9", "tool 2 0 0.1 --relative"),
+        ("tool 2 0 0.1 --relative", "tool 5 0.3 0.9 --around"),
     ),
     "stop": Subcommand(
         "omniman_ros.cli.stop_reset",

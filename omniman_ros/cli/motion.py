@@ -28,7 +28,9 @@ def run(args: argparse.Namespace) -> int:
     with interrupt_on_signals(), Robot(args.namespace) as robot:
         handle = None
         try:
-            robot.wait_until_ready(READY_TIMEOUT, needs=(args.command,))
+            is_around = args.command == "tool" and args.around
+            needs = ("tool_goal",) if is_around else (args.command,)
+            robot.wait_until_ready(READY_TIMEOUT, needs=needs)
             progress.begin(args.command)
             handle = send_goal(robot, args) if args.command == "goal" else send_tool(robot, args)
             follow(handle, args.timeout, progress)
@@ -56,7 +58,14 @@ def send_goal(robot: Robot, args: argparse.Namespace) -> MotionHandle:
 
 
 def send_tool(robot: Robot, args: argparse.Namespace) -> MotionHandle:
-    """Send the path of the tool of a command line."""
+    """Send the path of the tool of a command line, or its goal."""
+    if args.around:
+        goal = args.x, args.y, args.z
+        if args.relative:
+            from omniman_ros.client.messages import relative_position
+
+            goal = relative_position(robot.tool.value, robot.pose.value.heading, goal)
+        return robot.reach(*goal)
     return robot.move_tool(args.x, args.y, args.z, relative=args.relative)
 
 

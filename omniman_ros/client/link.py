@@ -92,7 +92,7 @@ class RobotLink:
                 is_known = not to.measured or self._telemetry.knows(to.measured)
                 if kind in abilities and not (is_known and self._motions.can_send(kind)):
                     measured = f" with {to.measured}" if to.measured else ""
-                    faults.append(" or ".join(to.nodes) + measured)
+                    faults.append(" or ".join(to.nodes) + to.hint + measured)
         return faults
 
     def require(self, abilities: Sequence[str], timeout: float = DISCOVERY_TIMEOUT) -> None:

@@ -108,6 +108,21 @@ def tool_path(poses: ArrayLike, frame: str) -> Path:
     return message
 
 
+def tool_goal(
+    x: Any, y: Any, z: Any, orientation: Sequence[float] | None, frame: str
+) -> PoseStamped:
+    """Return a goal of the tool [m] with a unit quaternion x, y, z, w; None keeps the present one.
+
+    Raises:
+        ParameterError: The position is not plausible.
+        InputError: The orientation has not four finite numbers.
+    """
+    row = [*position(x, y, z), *(() if orientation is None else orientation)]
+    message: PoseStamped = tool_path([row], frame).poses[0]
+    message.header.frame_id = frame
+    return message
+
+
 def _rows(name: str, values: ArrayLike, widths: Sequence[int], columns: str) -> Array:
     expected = " or ".join(f"(k, {width})" for width in widths)
     try:

@@ -27,6 +27,7 @@ class MotionTopic:
     message: type
     nodes: tuple[str, ...]  #: Names of the nodes of which one takes them
     measured: str = ""  #: Topic that must have been heard before
+    hint: str = ""  #: What starts these nodes, where they are no usual ones
 
 
 INPUTS = {
@@ -37,6 +38,13 @@ INPUTS = {
     ),
     "tool": MotionTopic(
         "tool_path", Path, ("path_interpolator", "whole_body_planner"), "tool_pose"
+    ),
+    "tool_goal": MotionTopic(
+        "tool_goal",
+        PoseStamped,
+        ("whole_body_planner",),
+        "tool_pose",
+        " (of `omniman up --whole-body-planner`)",
     ),
 }  #: Inputs for motions, by their kind
 

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from omniman_ros.client.link import RobotLink
 
 #: What a robot is asked to be able to do unless something else is: `drive` by twists, `goal` for
-#: `go_to`, `path` for `follow`, `arm` for `move_joints`, `tool` for `move_tool`
+#: `go_to`, `path` for `follow`, `arm` for `move_joints`, `tool` for `move_tool`, `tool_goal` for
+#: `reach`
 USUAL_ABILITIES = ("drive", "goal", "path")
 READY_TIMEOUT = 15.0  #: Time within which a robot must be found [s]; it usually takes 0.2 s
 
@@ -115,7 +116,8 @@ class Robot:
 
         Args:
             timeout: Longest time to wait [s].
-            needs: What the robot must be able to do: `drive`, `goal`, `path`, `arm`, `tool`.
+            needs: What the robot must be able to do: `drive`, `goal`, `path`, `arm`, `tool`,
+                `tool_goal`.
 
         Raises:
             RobotTimeoutError: Something is still missing; the message names it.
@@ -278,6 +280,34 @@ class Robot:
         if relative:
             goal = messages.relative_position(start, self.pose.value.heading, goal)
         return self.follow_tool([start, goal])
+
+    def reach(
+        self,
+        x: float,
+        y: float,
+        z: float,
+        orientation: Sequence[float] | None = None,
+        *,
+        frame: str = "odom",
+    ) -> MotionHandle:
+        """Move the tool to a position [m], driving as far as needed, around what is in the way.
+
+        It needs `whole_body_planner`: `omniman up --whole-body-planner`. A goal in place of
+        another one, or of another motion of the tool, begins when the robot has come to rest.
+
+        Args:
+            orientation: Unit quaternion x, y, z, w of the tool in the frame; None keeps the tool's
+                present orientation in odom, however the robot turns.
+
+        Raises:
+            InputError: The orientation has not four finite numbers.
+            ParameterError: A number is not finite.
+            RobotTimeoutError: No `whole_body_planner` is there.
+        """
+        from omniman_ros.client import messages
+
+        message = messages.tool_goal(x, y, z, orientation, frame)
+        return self._link.send("tool_goal", f"goal of the tool ({x:g}, {y:g}, {z:g})", message)
 
     def follow_tool(self, poses: "ArrayLike", *, frame: str = "odom") -> MotionHandle:
         """Move the tool along a path that begins near it, with platform and arm in step.

@@ -25,6 +25,7 @@ class MotionInput(Enum):
     ARM = ("arm", "trajectory")
     BODY = ("body", "trajectory")
     TOOL_PATH = ("tool_path", "tool path")
+    TOOL_GOAL = ("tool_goal", "tool goal")
 
     def __init__(self, key: str, label: str) -> None:
         self.key, self.label = key, label

@@ -1,6 +1,7 @@
 """`omniman tool` without a robot, and on one robot that the tests share."""
 
 import signal
+from contextlib import contextmanager
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -12,14 +13,23 @@ from omniman_ros.nodes.motion_log import MotionEvent
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from test.cli.stepped_robot import SteppedRobot
 from test.nodes.test_path_interpolator_tool import ToolWorld
+from test.nodes.test_whole_body_planner import DodgeWorld
+
+
+@contextmanager
+def running(make):
+    """Yield a robot of the nodes of a world."""
+    with make() as world:
+        states = world.publisher(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        states.publish(DiagnosticStatus(name="/platform_controller"))
+        world.listen(PoseStamped, "tool_pose")
+        yield SteppedRobot(world)
 
 
 @pytest.fixture(scope="module")
 def robot():
-    with ToolWorld() as world:
-        states = world.publisher(DiagnosticStatus, "stop_state", ALL_LATCHED)
-        states.publish(DiagnosticStatus(name="/platform_controller"))
-        yield SteppedRobot(world)
+    with running(ToolWorld) as robot:
+        yield robot
 
 
 def tool_position(robot):
@@ -29,10 +39,13 @@ def tool_position(robot):
 
 
 @pytest.mark.processes
-def test_without_an_interpolator_it_fails_and_names_the_node(own_domain, monkeypatch, capfd):
+@pytest.mark.parametrize(
+    ("option", "node"), [((), "no path_interpolator"), (("--around",), "no whole_body_planner")]
+)
+def test_without_its_node_it_fails_and_names_it(option, node, own_domain, monkeypatch, capfd):
     monkeypatch.setattr(motion, "READY_TIMEOUT", 0.2)
-    assert main(["tool", "1", "0", "0.5"]) == 1
-    assert "no path_interpolator" in capfd.readouterr().err
+    assert main(["tool", "1", "0", "0.5", *option]) == 1
+    assert node in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["tool"], ["tool", "1", "2"], ["tool", "a", "b", "c"]])
@@ -44,7 +57,6 @@ def test_a_position_needs_three_numbers(arguments, capfd):
 
 @pytest.mark.processes
 def test_tool_succeeds_when_the_tool_has_arrived(robot):
-    robot.world.listen(PoseStamped, "tool_pose")
     robot.wait(lambda: robot.world.received["tool_pose"])
     x, y, z = tool_position(robot)
     with robot.start("tool", "1.2", "0.2", "0.05", "--relative") as moved:
@@ -70,3 +82,14 @@ def test_ctrl_c_cancels_the_path_of_the_tool(robot):
     assert robot.wait(lambda: motions.whole_body.idle)
     values = {item.key: item.value for item in robot.world.status().values}
     assert values["body_event"] == MotionEvent.CANCELLED.value
+
+
+@pytest.mark.processes
+def test_around_obstacles_it_is_a_goal_of_the_whole_body_planner():
+    with running(DodgeWorld) as robot:
+        robot.wait(lambda: robot.world.received["tool_pose"])
+        x, y, z = tool_position(robot)
+        with robot.start("tool", "0.2", "0.1", "0.05", "--relative", "--around") as moved:
+            assert robot.finish(moved) == 0, moved.output
+        assert robot.world.node.motions.tool.log.text == "arrived"
+        assert tool_position(robot) == pytest.approx([x + 0.2, y + 0.1, z + 0.05], abs=2e-3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.client.handle import Outcome
+from omniman_ros.client.state import RobotTimeoutError
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import InputError, ParameterError
 from test.client.test_robot import client_of
@@ -77,6 +78,11 @@ def test_the_tool_moves_relative_to_the_robot_in_a_straight_line(world, robot):
     await_plan(world, handle)
     handle.wait(timeout=60.0)
     assert robot.tool.value == pytest.approx(start + (0.2, 0.1, 0.05), abs=5e-3)
+
+
+def test_goals_of_the_tool_need_a_planner_and_its_command_is_named(robot):
+    with pytest.raises(RobotTimeoutError, match=r"no whole_body_planner .*--whole-body-planner"):
+        robot.wait_until_ready(0.2, needs=("tool_goal",))
 
 
 def test_a_path_of_the_tool_is_cancelled(world, robot):

@@ -1,10 +1,12 @@
 """Topic `motion_events` of each node: each kind of end, told to who knows the request's stamp."""
 
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from std_srvs.srv import Trigger
 
@@ -17,7 +19,7 @@ from test.nodes.test_path_interpolator import BENT, path
 from test.nodes.test_path_interpolator_arm import FAR
 from test.nodes.test_path_interpolator_tool import READY, SHORT, ToolWorld, tool_path
 from test.nodes.test_path_interpolator_whole_body import trajectory
-from test.nodes.test_whole_body_planner import DodgeWorld
+from test.nodes.test_whole_body_planner import DodgeWorld, tool_goal
 
 ARM = UR_JOINTS
 LATE = 0.03  #: Age of the requests on their arrival [s]
@@ -137,7 +139,31 @@ class Tool(Paths):
         self.world.run_to_motion_start()
 
 
-@pytest.fixture(scope="module", params=[Planner, Paths, Tool])
+class ToolGoals(Tool):
+    """Goals of the tool of whole_body_planner."""
+
+    kind = "tool_goal"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.publisher = self.world.publisher(PoseStamped, "tool_goal")
+        self._number = count()  # no goal is where the tool is already
+
+    def _goal(self, x: float, side: float) -> Any:
+        k = next(self._number)
+        return tool_goal((x, side * (-1.0) ** k, 0.005 * k))
+
+    def far(self) -> Any:
+        return self._goal(0.2, 0.3)
+
+    def near(self) -> Any:
+        return self._goal(0.1, 0.0)
+
+    def wrong(self) -> Any:
+        return tool_goal((0.1, 0.0, 0.0), frame="nowhere")
+
+
+@pytest.fixture(scope="module", params=[Planner, Paths, Tool, ToolGoals])
 def robot(request):
     made = request.param()
     with made.world:

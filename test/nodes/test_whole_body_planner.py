@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Bool
 from visualization_msgs.msg import MarkerArray
@@ -295,3 +296,82 @@ def test_a_wall_of_the_map_counts_and_unknown_cells_by_parameter(world):
     assert world.set("map_unknown_is_free", True).successful
     world.lead()
     assert not world.body.idle
+
+
+def tool_goal(offset, frame="odom"):
+    """Return a goal at an offset from the first pose of the tool, which keeps its orientation."""
+    goal = PoseStamped()
+    goal.header.frame_id = frame
+    place = (START[:3, 3] + offset).tolist()
+    goal.pose.position.x, goal.pose.position.y, goal.pose.position.z = place
+    goal.pose.orientation.w = 0.0
+    return goal
+
+
+def send_goal(world, *offset, **options):
+    world.publisher(PoseStamped, "tool_goal").publish(tool_goal(offset, **options))
+    world.run(2 * PERIOD)
+
+
+@pytest.mark.exhaustive
+def test_the_tool_goes_around_a_post_to_its_goal():
+    post = Post(START[0, 3] + 0.7, START[1, 3], 0.1, (0.0, 1.5))
+    with DodgeWorld(post) as world:
+        send_goal(world, 1.5, 0.0, 0.0)
+        world.run_to_motion_start()
+        world.run_to_motion_end(60.0)
+        assert world.body.log.text == "arrived"
+        end = world.tool_references[-1].pose.position
+        assert [end.x, end.y, end.z] == pytest.approx(START[:3, 3] + [1.5, 0, 0], abs=6e-4)
+        assert world.tool_errors().max() < 1e-4 and world.gap > 0.02
+
+
+@pytest.mark.exhaustive
+def test_a_goal_whose_way_is_blocked_later_is_reached_by_another_one():
+    post = Post(START[0, 3] + 0.7, START[1, 3], 0.1, (0.0, 1.5))
+    with DodgeWorld(post, is_source_silent=True) as world:
+        send_goal(world, 1.5, 0.0, 0.0)
+        world.run_to_motion_start()
+        world.is_source_silent = False
+        while not world.body.idle:
+            world.run(0.5)
+            search = world.body._search  # in real time
+            world._await(lambda search=search: search is None or search.done(), "the search")
+        assert world.body.log.text == "arrived"
+        end = world.tool_references[-1].pose.position
+        assert [end.x, end.y, end.z] == pytest.approx(START[:3, 3] + [1.5, 0, 0], abs=6e-4)
+        assert world.tool_errors().max() < 1e-3 and world.gap > 0.02
+
+
+def test_a_goal_replaces_what_is_driven_and_begins_where_the_robot_rests(world):
+    world.lead()
+    world.run(2.0)
+    driven = world.body.log.driven
+    send_goal(world, 0.0, 0.0, 0.05)
+    assert driven.outcome == "replaced by a new tool path"
+    assert not world.body.idle, "it brakes"
+    send_goal(world, 0.0, 0.1, 0.05)  # replaces the goal that waits
+    world.run_until(lambda: world.body.idle, 2.0, "the rest")
+    world.run_until(lambda: world.node.motions.tool.is_planning, 1.0, "the planning")
+    world.run_to_motion_start()
+    world.run_to_motion_end(30.0)
+    end = world.tool_references[-1].pose.position
+    assert [end.x, end.y, end.z] == pytest.approx(START[:3, 3] + [0.0, 0.1, 0.05], abs=6e-4)
+    assert world.tool_errors().max() < 1e-4
+
+
+BAD_GOALS = {
+    "too high": ((0.1, 0.0, 1.5), {}, "no place from which the arm reaches"),
+    "not finite": ((np.nan, 0.0, 0.0), {}, "not finite"),
+    "huge": ((1e9, 0.0, 0.0), {}, "positions"),
+    "unknown frame": ((0.1, 0.0, 0.0), {"frame": "lidar"}, "lidar"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_GOALS)
+def test_a_goal_that_cannot_be_is_refused_before_anything_moves(world, case):
+    offset, options, words = BAD_GOALS[case]
+    send_goal(world, *offset, **options)
+    world.wait_for_plan()
+    assert any(words in text for text in world.warnings), world.warnings
+    assert world.body.idle and not world.references and not world.joint_previews

@@ -40,6 +40,12 @@ def add_tool(parser: argparse.ArgumentParser) -> None:
         help="interpret the position relative to the tool's, with x ahead of the robot and y to "
         "its left",
     )
+    parser.add_argument(
+        "--around",
+        action="store_true",
+        help="drive around what is in the way; needs the whole-body planner "
+        "(`omniman up --whole-body-planner`)",
+    )
     _add_timeout(parser, 300.0)
     add_namespace(parser, "namespace of the robot")
 

@@ -281,6 +281,17 @@ class ToolInterface(PathInput, Generic[Plan]):
 
     def _accept(self, motion: LoggedMotion, message: Path) -> str:
         """Take a path, in odom as its frame is known now: it stays there."""
+        label = f"a tool path of {len(message.poses)} poses"
+        planner = self._planner(motion, message, self._whole_body.planner)
+        return self._take(motion, planner, label)
+
+    def _planner(
+        self,
+        motion: LoggedMotion,
+        message: Path,
+        plan: Callable[[Array, Array], Callable[[], Plan]],
+    ) -> Callable[[Array], Callable[[], Plan]]:
+        """Return what plans poses (k, 4, 4) in odom from axes (9,); InputError for bad poses."""
         max_poses = self._max_poses
         try:
             place = self._motions.frames.into_odom(message.header).matrix()
@@ -294,9 +305,9 @@ class ToolInterface(PathInput, Generic[Plan]):
 
         def planner(start: Array) -> Callable[[], Plan]:
             poses = self._poses(message, place, self._whole_body.model.forward(start)[:3, :3])
-            return self._whole_body.planner(poses, start)
+            return plan(poses, start)
 
-        return self._take(motion, planner, f"a tool path of {len(message.poses)} poses")
+        return planner
 
     def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
         """Take a motion, planned from axes (9,) at rest; return why it is refused, or ""."""

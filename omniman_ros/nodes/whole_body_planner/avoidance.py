@@ -64,6 +64,14 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         around = self._surroundings.obstacle_snapshot()
         return lambda: WholeBodyTask(setup, poses, start, now, around)
 
+    def goal_planner(self, poses: Array, start: Array) -> "Callable[[], BodyTask]":
+        """Return what makes a task to the last of poses (k, 4, 4) in odom, from axes (9,)."""
+        from omniman_ros.planning.whole_body.tool_goal import tool_goal_task
+
+        setup, now = self._setup(), self._motions.time_base.now()
+        around = self._surroundings.obstacle_snapshot()
+        return lambda: tool_goal_task(setup, poses[-1], start, now, around)
+
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
         """Return what makes a task that holds the tool where it is, from positions (9,)."""
         from omniman_ros.planning.whole_body.task import ToolHold
@@ -110,6 +118,11 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         Who receives them follows the last ones to their end if this node falls silent.
         """
         super().publish(max(horizon, self._sent_for), platform=platform)
+
+    def remaining_length(self) -> float:
+        """Return the length of the rest of the tool's path [m]."""
+        done = self.core.progress(self._motions.time_base.now())
+        return (1.0 - done) * self.core.task.redundancy.path.length()
 
     @property
     def obstruction(self) -> Obstruction | None:
@@ -172,6 +185,8 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             try:
                 search.result()
                 self._watch.no_path = None
+                if self.core.take_detour(motion_time):
+                    self._watch = ProgressWatch(now)
             except NoPathError as error:
                 self._watch.no_path = error
             except Exception as error:  # raised in the thread; it must not end the node

@@ -1,30 +1,30 @@
 """Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
-from typing import TYPE_CHECKING
-
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.extras import PLANNING
 from omniman_ros.motion.path.interpolator import RefusedError
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
-from omniman_ros.nodes.path_interpolator.tool import ToolInterface
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.nodes.whole_body_planner.avoidance import AvoidanceInterface
 from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
+from omniman_ros.nodes.whole_body_planner.tool_tasks import (
+    ToolGoalExecutor,
+    ToolPathExecutor,
+    ToolTaskInterface,
+)
 from omniman_ros.planning.whole_body.obstruction import status_values
-
-if TYPE_CHECKING:  # needs casadi, which is optional
-    from omniman_ros.planning.whole_body.task import BodyTask
 
 SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
 class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
-    """Runs the paths of the tool."""
+    """Runs the paths, goals and holds of the tool."""
 
     def __init__(
         self,
@@ -41,8 +41,8 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
         self.surroundings = SurroundingsInterface(node, self.frames, p.surroundings)
         self.whole_body = AvoidanceInterface(self, motion, self.surroundings)
         self.interfaces = (self.whole_body,)
-        self.tool: ToolInterface[BodyTask] = ToolInterface(self, self.whole_body)
-        self.waiting = {"tool path": self.tool}
+        self.tool = ToolTaskInterface(self, self.whole_body)
+        self.waiting = {"motion of the tool": self.tool}
         self.serve("hold", self.hold, self.tool.log)
 
     def configure(self, new: WholeBodyPlannerParameters) -> None:
@@ -74,7 +74,7 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
 
 
 class WholeBodyPlannerNode(OmnimanNode):
-    """Serves paths and holds of the tool among obstacles as a ROS node."""
+    """Serves paths, goals and holds of the tool among obstacles as a ROS node."""
 
     lookahead = 0.04  # about the time that a plan takes
 
@@ -86,6 +86,12 @@ class WholeBodyPlannerNode(OmnimanNode):
         self.settings = ParameterSet(self, WholeBodyPlannerParameters)
         self.motions = BodyCoordinator(self, self.settings, PERIOD)
         self.settings.on_change(self.motions.configure)
+        p, tool = self.settings.value, self.motions.tool
+        goals, paths = ToolGoalExecutor(tool), ToolPathExecutor(tool)
+        self.actions = (
+            *serve_navigation(self, NavigationKind.NAVIGATE_TO_POSE, p.goal_action, goals),
+            *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, paths),
+        )
         self._status_publisher = self.create_publisher(DiagnosticStatus, "body/status", 10)
         self.every(PERIOD, self._tick)
 
@@ -100,8 +106,8 @@ class WholeBodyPlannerNode(OmnimanNode):
 
     @property
     def finished(self) -> bool:
-        """Whether no motion is under way."""
-        return self.motions.time_base.idle
+        """Whether no motion is under way, and all action clients have their results."""
+        return self.motions.time_base.idle and all(action.idle for action in self.actions)
 
     @property
     def stop_timeout(self) -> float:

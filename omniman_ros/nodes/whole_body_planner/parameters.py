@@ -23,6 +23,13 @@ class WholeBodyPlannerParameters(StreamParameters):
         high=3600.0,
     )
 
+    goal_action: str = parameter(
+        "~/move_tool", "Name of the action that takes goals of the tool.", read_only=True
+    )
+    path_action: str = parameter(
+        "~/follow_tool_path", "Name of the action that takes paths of the tool.", read_only=True
+    )
+
     @property
     def led_tool(self) -> ToolPathOptions:
         """Options of paths whose one parameter keeps both the linear and the angular limits."""

@@ -26,6 +26,7 @@ SHORTEST_STEP = 1e-6
 #: Time by which setpoints of the arm are sent before they are due, as its servo lags, and what
 #: transport takes [s]: until then, a new plan cannot move the arm
 ARM_LEAD = 0.07
+SAME = 1e-4  #: Difference up to which two positions of an axis are the same [m, rad]
 #: Least motion time for which a motion is sent before it brakes [s]: a plan begins after a period
 LEAST_AHEAD = 3.0 * PERIOD
 
@@ -53,6 +54,21 @@ class AvoidanceMotion:
         self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
         self._sent, self._brakes_at = task.controller.motion, math.inf
         self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
+
+    def take_detour(self, now: float) -> bool:
+        """Follow the detour that the task has found, and return whether there is one.
+
+        One that does not begin where the tool rests at a motion time is dropped.
+        """
+        detour, self.task.detour = self.task.detour, None
+        if detour is None or self.state is not PathState.FOLLOWING or not self.task.rests(now):
+            return False
+        at = self.task.axes(np.array([now]))
+        detour.controller.begin(now, np.append(at[0, :PATH_PARAMETER], 0.0))
+        if np.abs(detour.axes(np.array([now])) - at).max() > SAME:
+            return False
+        self.follow(detour)
+        return True
 
     @property
     def sent(self) -> HermiteTrajectory:

@@ -15,6 +15,7 @@ import numpy as np
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.upright_obstacles import UprightObstacles
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.whole_body.model import planar_transform
@@ -69,7 +70,7 @@ class PlatformPathSearch:
         least_margin: float,
         options: PathSearchOptions,
     ) -> None:
-        self._redundancy, self._path, self._gaps = redundancy, path, gaps
+        self.redundancy, self._path, self._gaps = redundancy, path, gaps
         self._resolver, self._options = resolver, options
         self._coarse = CoarseGaps(gaps)
         self._least_margin = SINGULARITY_RESERVE * least_margin
@@ -108,6 +109,26 @@ class PlatformPathSearch:
             if not np.isfinite(cost).any():
                 self._refuse(float(places[k - 1]), block, around.labels())
         return PlatformPath(first, path.end, _traced(grid, cost, choices, upright, start))
+
+    def ends(self, start: Array, around: ObstacleSnapshot) -> Array:
+        """Return poses (n, 3) of the platform, cheapest first, with the tool at the path's end.
+
+        One of them is placed relative to the tool as the start (3,) is, if that is possible.
+
+        Raises:
+            NoPathError: There is none.
+        """
+        end = self._path.end
+        first, last = self._path.at(np.array([0.0, end]))[:, [0, 1, 3]]
+        grid = _Grid(self._options, _relative(first, start))
+        everywhere = np.ones(len(grid.poses), dtype=bool)
+        cost, block = self._priced(grid, end, last, around.standing, everywhere)
+        order = np.argsort(cost)[: np.isfinite(cost).sum()]
+        if not len(order):
+            found = _obstruction(end, block, around.labels())
+            raise NoPathError(f"at the end of the path, {found.reason}", found)
+        x, y, psi = last.tolist()
+        return se2.displaced(grid.poses[order], (x, y, psi))
 
     def _priced(
         self,
@@ -175,7 +196,7 @@ class PlatformPathSearch:
         pose = grid.poses
         cell = np.flatnonzero(self._within_reach(pose, tool[0]))
         pose = pose[cell]
-        arm = self._redundancy.arm(pose, np.broadcast_to(tool, (len(cell), 4, 4)))
+        arm = self.redundancy.arm(pose, np.broadcast_to(tool, (len(cell), 4, 4)))
         margins, _ = self._resolver.margins(arm, self._signs)
         is_possible = (margins >= self._least_margin).all(axis=1)
         is_possible &= ((arm >= self._lower) & (arm <= self._upper)).all(axis=1)
@@ -183,14 +204,14 @@ class PlatformPathSearch:
         placed = self._gaps.spheres.place(arm)
         is_apart = self._gaps.own(placed) >= OWN_GAP if len(cell) else np.zeros(0, dtype=bool)
         cell, pose, arm = cell[is_apart], pose[is_apart], arm[is_apart]
-        difference = arm - self._redundancy.centre
+        difference = arm - self.redundancy.centre
         cost = self._options.shape * (CONFIGURATION_WEIGHTS * difference**2).sum(axis=1)
         centre = in_odom(pose, placed.centre[is_apart])
         return _Configurations(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
 
     def _within_reach(self, pose: Array, tool: Array) -> Array:
         """Return which poses (n, 3) of the platform have the wrist within the arm's length."""
-        model = self._redundancy.model
+        model = self.redundancy.model
         t = model.arm.table
         base = model.base(pose)[:, :3, 3]
         wrist = tool[:3, 3] - t.d6 * tool[:3, 2]
@@ -204,11 +225,18 @@ class PlatformPathSearch:
         self, place: float, block: tuple[str, int] | None, labels: tuple[str, ...]
     ) -> None:
         """Raise the error for a way that ends at a place of the path [m]."""
-        found = Obstruction(Cause.REACH, place)
-        if block is not None:
-            found = Obstruction(Cause.STANDING, place, block[0], labels[block[1]])
+        found = _obstruction(place, block, labels)
         where = describe_position(self._path, place)
         raise NoPathError(f"{where}beyond it, {found.reason}", found)
+
+
+def _obstruction(
+    place: float, block: tuple[str, int] | None, labels: tuple[str, ...]
+) -> Obstruction:
+    """Return what is in the way at a place of the path [m]: a part and an obstacle, or reach."""
+    if block is None:
+        return Obstruction(Cause.REACH, place)
+    return Obstruction(Cause.STANDING, place, block[0], labels[block[1]])
 
 
 class _Grid:

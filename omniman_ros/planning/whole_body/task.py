@@ -20,6 +20,8 @@ from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
 from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
 
+REST = 1e-3  #: Rate of the coordinates below which a robot that waits rests [m/s, rad/s]
+
 
 class BodyTask:
     """Platform and arm while the tool is led: along a path, or held at a place.
@@ -28,6 +30,7 @@ class BodyTask:
 
     Attributes:
         has_end: Whether the task ends by itself, so that progress is expected.
+        detour: Task that begins where the robot waits and may take the place of this one.
 
     Raises:
         InputError: The arm starts near a singularity.
@@ -35,6 +38,7 @@ class BodyTask:
     """
 
     has_end = True
+    detour: "BodyTask | None" = None
 
     def __init__(
         self,
@@ -78,6 +82,10 @@ class BodyTask:
         """Return all axes (k, 9) at times (k,) [s] of the motion that is followed."""
         return self.redundancy.axes(self.controller.motion.at(times)[0])
 
+    def rests(self, time: float) -> bool:
+        """Return whether the robot is at rest at a time [s], but for its giving way slowly."""
+        return bool(np.abs(self.controller.motion.sample(time)[1]).max() < REST)
+
     def is_completed(self, time: float) -> bool:
         """Return whether the tool is at rest at the end of the path at a time [s]."""
         return self.has_end and self.controller.is_completed(time)
@@ -98,24 +106,34 @@ class WholeBodyTask(BodyTask):
     def __init__(
         self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
     ) -> None:
-        model = WholeBodyModel(setup.description.mount)
-        limits, options, o = setup.limits, setup.path, setup.dodge
-        ToolPlanner(model, limits, options).require_valid(poses, start)
-        path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
-        resolver = RedundancyResolver(model, limits, options)
-        resolver.signs(start[3:])  # raises on a singularity, where there is no branch
-        redundancy = ToolRedundancy(model, path, start[3:])
-        coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
-        self._search = PlatformPathSearch(
-            redundancy, path, coarse, resolver, limits, options.singularity, o.way
-        )
+        self._search = path_search(setup, poses, start)
         way = self._search.find(np.append(start[:3], 0.0), around)
-        super().__init__(setup, redundancy, way, start, time)
+        super().__init__(setup, self._search.redundancy, way, start, time)
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew; see the base class."""
         at, _ = self.controller.motion.sample(time)
         self.way = self._search.find(at, around)
+
+
+def path_search(setup: BodySetup, poses: Array, start: Array) -> PlatformPathSearch:
+    """Return the search for ways of the platform while the tool is led along poses (k, 4, 4).
+
+    Raises:
+        InputError: The input is invalid, the path is too far away, or the arm starts (9,) near a
+            singularity.
+    """
+    model = WholeBodyModel(setup.description.mount)
+    limits, options, o = setup.limits, setup.path, setup.dodge
+    ToolPlanner(model, limits, options).require_valid(poses, start)
+    path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
+    resolver = RedundancyResolver(model, limits, options)
+    resolver.signs(start[3:])  # raises on a singularity, where there is no branch
+    redundancy = ToolRedundancy(model, path, start[3:])
+    coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
+    return PlatformPathSearch(
+        redundancy, path, coarse, resolver, limits, options.singularity, o.way
+    )
 
 
 class ToolHold(BodyTask):

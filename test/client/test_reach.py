@@ -1,0 +1,70 @@
+"""Goals of the tool by a client: reached by the whole-body planner, or refused."""
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+
+from omniman_ros.client.handle import Outcome
+from omniman_ros.client.messages import tool_goal
+from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
+from test.client.test_robot import client_of
+from test.nodes.test_path_interpolator_tool import START
+from test.nodes.test_whole_body_planner import DodgeWorld
+
+
+@pytest.fixture(scope="module")
+def world():
+    with DodgeWorld() as world:
+        states = world.publisher(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        states.publish(DiagnosticStatus(name="/platform_controller"))
+        yield world
+
+
+@pytest.fixture(scope="module")
+def robot(world):
+    with client_of(world, needs=("tool_goal",)) as robot:
+        yield robot
+
+
+def ended(world, handle):
+    """Return how a goal ended; it is planned in real time."""
+    world.run(0.2)
+    world.wait_for_plan()
+    return handle.result(timeout=60.0)
+
+
+def test_the_tool_reaches_its_goal_and_keeps_its_orientation(world, robot):
+    target = START[:3, 3] + [0.2, 0.1, 0.05]
+    handle = robot.reach(*target)
+    assert ended(world, handle).outcome is Outcome.ARRIVED
+    assert handle.feedback.progress == pytest.approx(1.0, abs=0.02)
+    assert robot.tool.value == pytest.approx(target, abs=2e-3)
+    last, first = (world.tool_references[k].pose.orientation for k in (-1, 0))
+    assert [last.x, last.y, last.z, last.w] == pytest.approx(
+        [first.x, first.y, first.z, first.w], abs=1e-6
+    )
+
+
+def test_a_goal_out_of_reach_is_refused_with_the_reason(world, robot):
+    result = ended(world, robot.reach(1.0, 0.0, 3.0))
+    assert result.outcome is Outcome.REFUSED and "finds no place" in result.reason
+
+
+def test_an_orientation_is_sent_as_it_is():
+    message = tool_goal(1.0, 2.0, 0.5, (0.0, 0.6, 0.0, 0.8), "map")
+    assert isinstance(message, PoseStamped) and message.header.frame_id == "map"
+    assert (message.pose.orientation.y, message.pose.orientation.w) == (0.6, 0.8)
+
+
+@pytest.mark.parametrize(
+    ("goal", "error"),
+    [
+        ((float("nan"), 0.0, 0.5), ParameterError),
+        ((1.0, 0.0, 0.5, (0.0, 0.0, 1.0)), InputError),
+        ((1.0, 0.0, 0.5, (0.0, 0.0, float("inf"), 0.0)), InputError),
+    ],
+)
+def test_a_goal_that_makes_no_sense_is_refused_before_it_is_sent(robot, goal, error):
+    with pytest.raises(error):
+        robot.reach(*goal)
