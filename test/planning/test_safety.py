@@ -208,7 +208,7 @@ def test_overlap_and_outside_are_depths():
 def test_what_is_touched_already_does_not_hide_what_would_be_touched_next():
     """A track that overlaps the robot is behind it; a post is 0.5 m ahead."""
     known = ellipses((-0.4, 0.0, 0.2, 0.2, 0.0), (1.0, 0.0, 0.1, 0.1, 0.0), time=NOW)
-    ahead, gap = around(known).threat(a_line(1.0, 0.0, 0.0), NOW)
+    ahead, _ = around(known).threat(a_line(1.0, 0.0, 0.0), NOW)
     assert ahead == pytest.approx(NOW + 0.5, abs=0.11)
     aside, wider = around(known).threat(a_line(0.3, 0.0, 0.0, seconds=1.0), NOW)
     assert aside == math.inf and wider < 0.0

@@ -150,6 +150,8 @@ class AvoidingBody:
         try:
             self._motion.task.search(motion_time, around)
             self._watch.no_path = None
+            if self._motion.take_detour(motion_time):
+                self._watch = ProgressWatch(now)
         except NoPathError as error:
             self._watch.no_path = error
         self.search_times.append(time.process_time() - begin)
