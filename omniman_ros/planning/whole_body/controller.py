@@ -118,7 +118,10 @@ class WholeBodyController:
             check.judge([*shorter, last], now)  # the last motion is what comes next
             return shorter
 
-        chooser = MotionChooser(check, self.braked, now, ready, BRAKINGS, brakings)
+        # People may not see the robot: where contact comes on every motion, it is to rest by then.
+        chooser = MotionChooser(
+            check, self.braked, now, ready, BRAKINGS, brakings, evades_contact=False
+        )
         self._choice = choice = chooser.choose(plans, due + 0.5 * self._step, last, self._choice)
         self.motion = choice.motion
         found = check.first.obstruction if check.first is not None else None
