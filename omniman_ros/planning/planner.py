@@ -40,7 +40,9 @@ from omniman_ros.planning.route.route_planner import (
 from omniman_ros.planning.safety import Surroundings
 from omniman_ros.planning.velocity_samples import VelocitySamples
 
-CROWD = 4  #: Number of things that move nearby from which on the planner samples velocities
+CROWD = 6  #: Number of things that move nearby from which on the planner samples velocities
+#: The same for a robot that waits for a way: its optimum, to stay, makes way in one direction only
+CROWD_AT_REST = 1
 NEAR = 4.0  #: Distance below which they count [m]
 LOOKAHEAD = 3.0  #: Part of a bent route at whose end samples aim [s]
 
@@ -269,22 +271,24 @@ class Planner:
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
         is_free = route is not None and route.escape_path is None  # that is left straight
-        if is_free and self._is_in_crowd(start, obstacles):
+        waits = route is not None and route.source is RouteSource.REST
+        crowd = CROWD_AT_REST if waits else CROWD
+        if is_free and self._moving_near(start, obstacles) >= crowd:
             return self._sampled(start, due, obstacles)
         clearance = None if route is None else route.clearance(self.limits)
         walls = self._walls_to_keep_from()
         request = PlanRequest(start, due, goal, self.footprint, obstacles, walls, clearance)
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
 
-    def _is_in_crowd(self, pose: Array, obstacles: Ellipses) -> bool:
-        """Return whether much moves near a pose (3,), or a state that begins with one."""
+    def _moving_near(self, pose: Array, obstacles: Ellipses) -> int:
+        """Return how many things move near a pose (3,), or a state that begins with one."""
         offset = obstacles.centers - pose[:2]
         is_near = np.hypot(*offset.T) - obstacles.semi_axes.max(axis=1, initial=0.0) < NEAR
         moves = np.hypot(*obstacles.velocities.T) > STATIC_SPEED
-        return int((is_near & moves).sum()) >= CROWD
+        return int((is_near & moves).sum())
 
     def _sampled(self, start: Array, due: float, obstacles: Ellipses) -> tuple[Solution, ...]:
-        """Return the best motions in a crowd."""
+        """Return the best motions among things that move."""
         assert self.route_planner is not None
         moves = np.hypot(*obstacles.velocities.T) > STATIC_SPEED
         walls = self._walls_to_keep_from().near(start, NEAR).ellipses(obstacles.time)
@@ -300,7 +304,7 @@ class Planner:
     ) -> None:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
-        in_crowd = self._is_in_crowd(measured.pose, obstacles)
+        in_crowd = self._moving_near(measured.pose, obstacles) >= CROWD
         surroundings = Surroundings(
             self.footprint,
             obstacles,
@@ -338,7 +342,7 @@ class Planner:
         """Check the route, and do a slice of the search for another one at the end of a cycle."""
         if self.route_planner is not None:
             pose, _ = self.motion.sample(now)
-            if self._is_in_crowd(pose, obstacles):
+            if self._moving_near(pose, obstacles) >= CROWD:
                 speeds = np.hypot(*obstacles.velocities.T)
                 obstacles = obstacles.select(speeds < STATIC_SPEED)
             environment = self._environment(obstacles)

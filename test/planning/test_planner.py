@@ -802,7 +802,7 @@ def test_a_robot_without_a_way_out_stays_and_names_the_cells():
     assert np.abs(np.array(sim.poses)).max() < 1e-3
 
 
-def test_a_blocked_robot_stands_until_something_moves_at_it_and_names_what_is_in_the_way():
+def test_a_blocked_robot_steps_aside_for_a_walker_and_names_what_is_in_the_way():
     shut = floor_plan((1.2, -1.5, 1.3, 1.5))
     sim = SimulatedRun(planner())
     sim.planner.set_map(shut)
@@ -812,10 +812,13 @@ def test_a_blocked_robot_stands_until_something_moves_at_it_and_names_what_is_in
     assert sim.planner.blocked_by.startswith("the map at (1.2")
     assert sim.planner.blocked_by.endswith("is in the way: there is no way")
     assert np.abs(np.array(sim.poses)[:, :2]).max() < 0.01
-    walker = ellipses((0.0, 1.3, 0.2), velocities=[(0.0, -0.3)], time=sim.now)
+    walker = ellipses((-2.0, 0.1, 0.2), velocities=[(0.5, 0.0)], time=sim.now)
     sim.seen = lambda now: observed(walker, now)
-    sim.run(3.0, until=never)
-    assert abs(sim.pose()[1]) > 0.1 and sim.gaps(walker).min() > 0.0
+    sim.run(8.0, until=never)
+    places = np.array(sim.poses)[:, :2]
+    assert sim.gaps(walker).min() > 0.0
+    assert places[:, 0].max() < 0.3, "it steps aside, and is not pushed against the wall"
+    np.testing.assert_allclose(sim.pose(), np.zeros(3), atol=0.02, err_msg="and comes back")
 
 
 def test_a_robot_that_finds_no_way_while_it_drives_brakes_and_stays():
