@@ -38,8 +38,21 @@ class ArmMass:
             [k * _tensor(body) for k, body in zip(scale, (*bodies, tool), strict=True)]
         )
 
-    def at(self, q: Array) -> Arm:
-        """Return the arm as a body at rest in a posture (6,) [rad]."""
+    @property
+    def mass(self) -> float:
+        """Mass of arm and tool [kg]."""
+        return float(self._masses.sum())
+
+    def weighted_centres(self, q: Array) -> Array:
+        """Return the mass [kg] times the homogeneous centre (4,) of each body, base to tool.
+
+        They (8, 4) are in base_link, in a posture (6,) [rad].
+        """
+        weighted: Array = self._masses[:, None] * _times(self._poses(q), self._centres)
+        return weighted
+
+    def _poses(self, q: Array) -> Array:
+        """Return the poses (8, 4, 4) of base, links and tool in base_link."""
         frame = self._base
         frames = [frame]
         for place, angle in zip(self._places, q.tolist(), strict=True):
@@ -48,10 +61,12 @@ class ArmMass:
             x, y = frame[:, 0].copy(), frame[:, 1].copy()
             frame[:, 0], frame[:, 1] = c * x + s * y, c * y - s * x
             frames.append(frame)
-        frames.append(frame)
-        poses = np.array(frames)
-        points = np.einsum("kij,kj->ki", poses, self._centres)[:, :3]
-        mass = float(self._masses.sum())
+        return np.array([*frames, frame])
+
+    def at(self, q: Array) -> Arm:
+        """Return the arm as a body at rest in a posture (6,) [rad]."""
+        poses, mass = self._poses(q), self.mass
+        points = _times(poses, self._centres)[:, :3]
         centre = self._masses @ points / mass
         upright = poses[:, 2, :3]  # The vertical in each body's own axes.
         own = np.einsum("ki,kij,kj->", upright, self._tensors, upright)
@@ -59,6 +74,12 @@ class ArmMass:
         x, y, z = centre.tolist()
         # A centre below the floor is that of a mount whose height is unknown.
         return replace(self._arm, com_x=x, com_y=y, com_z=max(0.0, z), inertia=float(own + apart))
+
+
+def _times(poses: Array, points: Array) -> Array:
+    """Return homogeneous points (k, 4) at poses (k, 4, 4)."""
+    moved: Array = np.einsum("kij,kj->ki", poses, points)
+    return moved
 
 
 def _tensor(body: Inertia) -> Array:

@@ -6,6 +6,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.mpc.quadratic_program import SolverError
+from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.corner_speeds import CornerSpeeds
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
@@ -43,6 +44,8 @@ PLATFORM_RATE_WEIGHTS = np.array([0.5, 0.5, 0.2, 0.0])
 CONTROL_WEIGHTS: Array = np.array([0.15, 0.15, 0.05, 0.3])
 GAP_CUTOFF = 0.6  #: Gap beyond which an obstacle does not matter to a plan [m]
 OWN_CLEARANCE = 0.02  #: Gap that plans keep between parts of the robot [m]
+#: Excess of the tip-over margin that plans keep [m], and that which counts as one limit [m]
+TIP_OVER_RESERVE, TIP_OVER_SCALE = 0.01, 0.1
 ONSET = 1.3  #: Margin to singularities that plans keep, relative to the least one
 ANGLE_RESERVE = 0.05  #: Distance that plans keep from the ends of the joints [rad]
 #: Fractions of a step that are tried until all of it is within the arm's reach
@@ -64,13 +67,14 @@ class Linearisation:
         self,
         redundancy: ToolRedundancy,
         gaps: BodyGaps,
+        balance: BodyBalance,
         resolver: RedundancyResolver,
         limits: WholeBodyLimits,
         tool: tuple[float, float, float, float],
         options: AvoidanceOptions,
     ) -> None:
         self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
-        self._options = options
+        self._balance, self._options = balance, options
         self._speed, acceleration, self._least_margin, reserve = tool
         free = 1.0 - reserve
         self._joint_speed: Array = free * options.joint_effort * limits.velocity[3:]
@@ -91,6 +95,7 @@ class Linearisation:
         self._signs = resolver.signs(redundancy.centre)
         self._corners = CornerSpeeds(redundancy.path, (1.0 - reserve) * acceleration)
         count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels) + 3
+        count += balance.edge_count
         self._program = ReducedProgram(
             options.steps, options.step, count, SLACK_LINEAR, SLACK_QUADRATIC
         )
@@ -120,6 +125,7 @@ class Linearisation:
                 self._gap_rows(at, around, times[1:] - around.time),
                 self._arm_rows(at, rates[1:], controls),
                 self._wheel_rows(at, rates[1:]),
+                self._balance_rows(at, rates[1:], controls),
                 self._path_rows(z[:, PATH_PARAMETER], rates[1:, PATH_PARAMETER]),
             ]
         )
@@ -278,4 +284,15 @@ class Linearisation:
             by_x=by_x,
             by_u=np.zeros((*speed.shape, COORDINATES)),
             slack=np.full(speed.shape, LIMITS),
+        )
+
+    def _balance_rows(self, at: Configurations, rates: Array, controls: Array) -> StageRows:
+        """Return the rows of the tip-over margins to the edges of the wheels' contacts."""
+        found = self._balance.rows(at, rates, controls)
+        least = self._options.tip_over_margin + TIP_OVER_RESERVE
+        return StageRows.unchecked(
+            value=(found.margin - least) / TIP_OVER_SCALE,
+            by_x=np.concatenate([found.by_z, found.by_rate], axis=2) / TIP_OVER_SCALE,
+            by_u=found.by_acceleration / TIP_OVER_SCALE,
+            slack=np.full(found.margin.shape, LIMITS),
         )

@@ -17,6 +17,7 @@ class Cause(enum.Enum):
     JOINT_SPEED = "joint speed"
     JOINT_ACCELERATION = "joint acceleration"
     WHEEL_SPEED = "wheel speed"
+    TIPPING = "tip-over margin"
     PROGRAM = "program"
 
 
@@ -31,6 +32,7 @@ TEXTS = {
     Cause.JOINT_SPEED: "{part} would be too fast",
     Cause.JOINT_ACCELERATION: "{part} would accelerate too much",
     Cause.WHEEL_SPEED: "{part} would be too fast",
+    Cause.TIPPING: "the robot would be too close to tipping over",
     Cause.PROGRAM: "{other}",
 }  #: Sentences for each cause
 

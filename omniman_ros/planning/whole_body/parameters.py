@@ -91,6 +91,14 @@ class AvoidanceOptions(Validated):
         low=0.0,
         high=1.0,
     )
+    tip_over_margin: float = parameter(
+        0.05,
+        "Tip-over margin below which a plan is not followed: distance of the zero moment point "
+        "from the border of the wheels' contacts. A posture that has less at rest may use half.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

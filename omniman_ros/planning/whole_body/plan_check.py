@@ -12,6 +12,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.motion import HermiteTrajectory
+from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
@@ -26,6 +27,7 @@ GAP_TOLERANCE = 1e-6  #: Difference below which gaps count as equal [m]
 #: Fraction of a limit of the arm and the wheels that a motion may use between the program's nodes;
 #: the program leaves the reserve of the limits free.
 EXCESS = 1.1
+REST_FRACTION = 0.5  #: Fraction of its tip-over margin at rest that a robot may always have left
 AXIS_NAMES = {
     Cause.JOINT_LIMIT: "joint {}",
     Cause.REVOLUTION: "joint {}",
@@ -63,12 +65,14 @@ class PlanCheck:
         self,
         redundancy: ToolRedundancy,
         gaps: BodyGaps,
+        balance: BodyBalance,
         resolver: RedundancyResolver,
         limits: WholeBodyLimits,
         least_margin: float,
         options: AvoidanceOptions,
     ) -> None:
         self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
+        self._balance = balance
         self._limits, self._options = limits, options
         self._least_margin = least_margin
         self._signs = resolver.signs(redundancy.centre)
@@ -105,8 +109,10 @@ class PlanCheck:
         for times, at, rates in samples:
             mine = slice(begin, begin + len(at))
             begin, last = mine.stop, first + len(times)
-            found = self._impossible(times, at, rates, q[mine]) or self._too_near_itself(
-                at, placed, own[mine], mine.start
+            found = (
+                self._impossible(times, at, rates, q[mine])
+                or self._too_near_itself(at, placed, own[mine], mine.start)
+                or self._tips_over(times, at, placed.frames[mine])
             )
             if found is not None:
                 fault, k = found
@@ -131,6 +137,16 @@ class PlanCheck:
         k = int(is_near.argmax())
         parts = self._gaps.nearest_own(placed, begin + k)
         return Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts), k
+
+    def _tips_over(self, times: Array, z: Array, frames: Array) -> tuple[Obstruction, int] | None:
+        """Return that the robot would be too close to tipping over, and the sample; or None."""
+        at_rest = self._balance.rest_margin(frames[0])
+        least = min(self._options.tip_over_margin, REST_FRACTION * at_rest)
+        is_low = self._balance.margins(times[: len(z)], z[:, :3], frames) < least
+        if not is_low.any():
+            return None
+        k = 1 + int(is_low.argmax())
+        return Obstruction(Cause.TIPPING, float(z[k, PATH_PARAMETER])), k
 
     def _beside(
         self, times: Array, places: Array, of_parts: Array, around: ObstacleSnapshot

@@ -10,6 +10,7 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.controller import CycleOutcome, WholeBodyController
 from omniman_ros.planning.whole_body.linearisation import Linearisation
@@ -52,15 +53,15 @@ class BodyTask:
         resolver = RedundancyResolver(redundancy.model, limits, options)
         resolver.signs(start[3:])  # raises on a singularity, where there is no branch
         gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing, o.time_gap)
-        least = options.singularity
+        balance, least = BodyBalance(setup.description), options.singularity
         tool = (options.linear_velocity, options.linear_acceleration, least, options.reserve)
         self.redundancy, self.way = redundancy, way
         self.controller = WholeBodyController(
             redundancy,
             gaps,
             limits,
-            Linearisation(redundancy, gaps, resolver, limits, tool, o),
-            PlanCheck(redundancy, gaps, resolver, limits, least, o),
+            Linearisation(redundancy, gaps, balance, resolver, limits, tool, o),
+            PlanCheck(redundancy, gaps, balance, resolver, limits, least, o),
             o,
         )
         self.controller.begin(time, np.append(start[:3], 0.0))

@@ -6,12 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from omniman_ros.collision.load_box import LoadBox
 from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.parameters import LoadShape
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.model import HALF_TURN, WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.mpc.quadratic_program import SolverError
+from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
@@ -47,14 +50,76 @@ def test_the_body_dodges_a_post_while_the_tool_stays_on_its_path():
     assert np.abs(tool[:, 1:3, 3] - start[1:3, 3]).max() < 1e-6
     assert np.abs(tool[:, :3, :3] - start[:3, :3]).max() < 1e-6
     assert tool[-1, 0, 3] - start[0, 3] == pytest.approx(0.8, abs=1e-3)
-    judge = ConfigurationDistances(SETUP.description, [Prism((0.1, 0.1), 0.0, (0.0, 1.2))])
-    gaps = []
-    for q in axes[::5]:
-        judge.place(q[:3], q[3:], np.array([POST]))
-        gaps.append(judge.distances(2.0)[0])
-    assert min(gaps) > SETUP.dodge.least_clearance
+    assert true_gaps(axes, (0.0, 1.2), 0.1, POST).min() > SETUP.dodge.least_clearance
     joints = np.diff(axes[:, 3:], axis=0) / 0.02
     assert (np.abs(joints) < SETUP.limits.velocity[3:]).all()
+
+
+def true_gaps(axes, heights, radius, place):
+    """Return the gaps of the robot without its load to an upright cylinder, by the engine."""
+    judge = ConfigurationDistances(SETUP.description, [Prism((radius, radius), 0.0, heights)])
+    gaps = []
+    for q in axes[::5]:
+        judge.place(q[:3], q[3:], np.array([place]))
+        gaps.append(judge.distances(2.0)[0])
+    return np.array(gaps)
+
+
+def test_the_platform_drives_below_a_table_that_the_arm_stays_beside():
+    place, heights = (1.1, -0.5), (0.57, 0.6)
+    table = UprightObstacles.cylinder(*place, 0.3, heights)
+    narrow = posts((0.8, 0.56), (1.1, 0.56), (1.4, 0.56)).standing
+    around = ObstacleSnapshot(standing=UprightObstacles.join([narrow, table]))
+    task = WholeBodyTask(SETUP, straight(1.0), START, 0.0, around)
+    _, axes, _, end = drive(task, lambda now: around, 20.0)
+    assert task.is_completed(end)
+    assert true_gaps(axes, heights, 0.3, place).min() > SETUP.dodge.least_clearance
+    assert true_gaps(axes, (0.4, 0.5), 0.3, place).min() <= 0.0, "nothing of it is below"
+
+
+@pytest.mark.parametrize("top", [0.42, 0.5], ids=["below the load", "as high as the load"])
+def test_the_load_keeps_its_gap_to_what_the_tool_alone_would_pass(top):
+    box = UprightObstacles.box((1.1, 0.28, 0.4), 0.2, 0.2, (0.0, top))
+    block = ObstacleSnapshot(standing=box)
+    WholeBodyTask(SETUP, straight(0.8), START, 0.0, block)  # does not raise
+    shape = LoadShape(length=0.1, width=0.1, height=0.1, distance=0.02)
+    loaded = replace(SETUP, load=shape)
+    if top == 0.5:
+        with pytest.raises(NoPathError) as error:
+            WholeBodyTask(loaded, straight(0.8), START, 0.0, block)
+        assert error.value.obstruction.part == "load"
+        return
+    task = WholeBodyTask(loaded, straight(0.8), START, 0.0, block)
+    _, axes, _, end = drive(task, lambda now: block, 20.0)
+    assert task.is_completed(end)
+    flange = WholeBodyModel(SETUP.description.mount).forward(axes[::5])
+    gaps = LoadBox(shape).distances_from_obstacles(flange, block.standing, 1.0)
+    assert SETUP.dodge.least_clearance < gaps.min() < 0.15
+
+
+def test_accelerations_leave_the_tip_over_margin():
+    """Of a robot whose platform is as heavy at a height of 1.5 m, while it drives sideways."""
+    robot = SETUP.description.robot
+    tall = replace(robot, body=replace(robot.body, com_z=1.5))
+    description = replace(SETUP.description, robot=tall)
+    poses = straight(1.0)
+    poses[:, 1, 3] += poses[:, 0, 3] - poses[0, 0, 3] + 0.1
+    poses[:, 0, 3] = poses[0, 0, 3] - 0.1
+    balance, least, times = BodyBalance(description), [], []
+    base = description.mount.pose @ HALF_TURN
+    for margin in (0.05, 0.23):
+        dodge = replace(SETUP.dodge, tip_over_margin=margin)
+        task = WholeBodyTask(
+            replace(SETUP, description=description, dodge=dodge), poses, START, 0.0, posts()
+        )
+        at, axes, outcomes, end = drive(task, lambda now: posts(), 20.0, sample=0.025)
+        assert task.is_completed(end)
+        assert all(outcome.verdict.is_clear for outcome in outcomes)
+        frames = base @ task.redundancy.model.arm.frames(axes[:, 3:])
+        least.append(balance.margins(at, axes[:, :3], frames).min())
+        times.append(end)
+    assert least[0] < 0.225 and least[1] > 0.23
+    assert times[1] < 1.3 * times[0], "it slows down by its accelerations only"
 
 
 @pytest.mark.parametrize("corner", [0.4, None], ids=["corner", "straight"])
