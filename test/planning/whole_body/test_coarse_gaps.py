@@ -51,7 +51,7 @@ def test_no_gap_is_overestimated_nor_much_underestimated(seed, monkeypatch):
     poses = random.uniform(-2.0, 2.0, (400, 3)) + [FAR, 0.0, 0.0]
     placed = GAPS.spheres.place(random.uniform(-1.5, 1.5, (400, 6)))
     centre = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
-    exact = GAPS.to_obstacles(poses, placed.centre, around)[:, 1:].min(axis=(1, 2))
+    exact = GAPS.to_obstacles(poses, placed.centre, around, 0)[:, 1:].min(axis=(1, 2))
     assert_close(
         coarse(around, 2.0 + GAPS.radius).platform(poses),
         GAPS.platform(poses, around).min(axis=1),
