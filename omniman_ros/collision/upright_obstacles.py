@@ -93,7 +93,7 @@ class UprightObstacles(Validated):
     def select(self, index: Indices) -> "UprightObstacles":
         """Return the obstacles with some indices, which may repeat."""
         return UprightObstacles.unchecked(
-            centre=self.centre[:, index],
+            centre=self.centre[..., index],
             yaw=self.yaw[index],
             half=self.half[:, index],
             rounding=self.rounding[index],

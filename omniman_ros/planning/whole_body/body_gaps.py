@@ -28,6 +28,8 @@ from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
 
 FAR = 10.0  #: Gap of a row that constrains nothing [m]
+#: Gap beyond which that to the disc around an obstacle stands for the true one [m]
+NEAR = 0.3
 SAME_HEIGHT = 1e-6  #: Change of a height that is round-off [m]
 OWN, STANDING, MOVING = range(3)
 """Kinds of gaps: between parts of the robot, to what stands, to what moves."""
@@ -172,16 +174,44 @@ class BodyGaps:
         result: Array = np.min(found, axis=0)
         return result
 
-    def to_obstacles(self, poses: Array, centre: Array, obstacles: UprightObstacles) -> Array:
+    def to_obstacles(
+        self, poses: Array, centre: Array, obstacles: UprightObstacles, standing: int
+    ) -> Array:
         """Return the gaps (k, 1 + S, M) of platform and spheres to obstacles [m].
 
         The centres (k, S, 3) of the spheres are in base_link. The centres (2, k, M) of the
-        obstacles may differ from pose to pose (k, 3).
+        obstacles may differ from pose to pose (k, 3). Of the first ones, which stand, those that
+        are never within `NEAR` count with one lower bound that is above it.
         """
-        platform = self.platform(poses, obstacles)
         points = np.moveaxis(in_odom(poses, centre), -1, 0)
-        gaps = point_gap_values(_for_spheres(obstacles), points) - self.spheres.radius[:, None]
-        return np.concatenate([platform[:, None], gaps], axis=1)
+        bounds = self._bounds(poses, points, obstacles.select(np.arange(standing)))
+        is_near = np.ones(len(obstacles), dtype=bool)
+        is_near[:standing] = ~(bounds > NEAR)
+        near = np.flatnonzero(is_near)
+        chosen = obstacles.select(near)
+        result = np.empty((len(poses), 1 + len(self.spheres.radius), len(obstacles)))
+        result[..., :standing] = bounds
+        result[:, 0, near] = self.platform(poses, chosen)
+        gaps = point_gap_values(_for_spheres(chosen), points)
+        result[:, 1:, near] = gaps - self.spheres.radius[:, None]
+        return result
+
+    def _bounds(self, poses: Array, points: Array, obstacles: UprightObstacles) -> Array:
+        """Return lower bounds (M,) of the gaps at all poses (k, 3), with spheres at (3, k, S).
+
+        Obstacles count as discs. Poses out of the arm's reach, with NaN, are left out.
+        """
+        origin = poses[0, :2]
+        level = np.moveaxis(points[:2], 0, -1) - origin
+        centre = np.moveaxis(obstacles.centre, 0, -2) - origin[:, None]  # (..., 2, M)
+        square = (level * level).sum(axis=-1)[..., None] - 2.0 * (level @ centre)
+        least = np.fmin.reduce(square, axis=1) + (centre * centre).sum(axis=-2)
+        arm = np.sqrt(np.maximum(np.fmin.reduce(least, axis=0), 0.0)) - self.spheres.radius.max()
+        base = (centre - (poses[:, :2] - origin)[:, :, None]) ** 2
+        platform = np.sqrt(np.fmin.reduce(base.sum(axis=-2), axis=0)) - self.radius
+        extent = np.hypot(*obstacles.half) + obstacles.rounding
+        result: Array = np.minimum(arm, platform) - extent
+        return result
 
     # ---- with derivatives, for the program --------------------------------------------------
 
@@ -195,6 +225,9 @@ class BodyGaps:
         placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)
         own = self._own_rows(at, placed, moved)
+        points = np.moveaxis(in_odom(at.platform, placed.centre), -1, 0)
+        is_near = ~(self._bounds(at.platform, points, around.standing) > reach)
+        around = around.selected(np.flatnonzero(is_near), np.arange(len(around.moving)))
         obstacles = self._obstacle_rows(at, placed, moved, around, ages)
         joined = GapRows.unchecked(
             gap=np.hstack([own.gap, obstacles.gap]),

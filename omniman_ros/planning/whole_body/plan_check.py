@@ -104,7 +104,9 @@ class PlanCheck:
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
         ages = np.concatenate([each[0] for each in samples]) - around.time
-        of_parts = self._gaps.to_obstacles(z[index, :3], placed.centre[index], around.placed(ages))
+        of_parts = self._gaps.to_obstacles(
+            z[index, :3], placed.centre[index], around.placed(ages), len(around.standing)
+        )
         verdicts, begin, first = [], 0, 0
         for times, at, rates in samples:
             mine = slice(begin, begin + len(at))

@@ -8,13 +8,14 @@ of narrow gaps, and of the platform's travel from layer to layer.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
-from omniman_ros.collision.upright_obstacles import UprightObstacles
+from omniman_ros.collision.signed_gaps import point_gap_values
+from omniman_ros.collision.upright_obstacles import Mask, UprightObstacles
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
@@ -41,6 +42,8 @@ SHIFTS = 2
 #: Change of the tool's height up to which postures are taken over from another layer [m]
 SAME_HEIGHT = 0.03
 SAME_TILT = 0.1  #: Change of the tool's tilt up to which postures are taken over [rad]
+#: Length of the path whose surroundings are looked at together [m]: the area stays small
+SECTION = 3.0
 SHEET_END = 0.3  #: Distance that joints keep from half a revolution away from their start [rad]
 LIMIT_RESERVE = 0.1  #: Distance that joints keep from their limits [rad]
 SINGULARITY_RESERVE = 1.5  #: Margin to singularities relative to the least one
@@ -72,7 +75,6 @@ class PlatformPathSearch:
     ) -> None:
         self.redundancy, self._path, self._gaps = redundancy, path, gaps
         self._resolver, self._options = resolver, options
-        self._coarse = CoarseGaps(gaps)
         self._least_margin = SINGULARITY_RESERVE * least_margin
         centre = redundancy.centre
         self._signs = resolver.signs(centre)
@@ -97,17 +99,21 @@ class PlatformPathSearch:
         self._known.clear()
         cost = np.full(grid.shape, np.inf)
         cost[grid.middle] = 0.0
-        choices = []
+        choices, section = [], math.ceil(SECTION / o.layer)
         for k in range(1, count + 1):
+            if (k - 1) % section == 0:
+                near = slice(k, k + section)
+                coarse = self._coarse(grid, places[near], upright[near], around.standing)
             cost, choice = grid.moved(cost, upright[k - 1], upright[k])
             choices.append(choice)
             reached = np.isfinite(cost.ravel())
-            price, block = self._priced(
-                grid, float(places[k]), upright[k], around.standing, reached
-            )
+            at = self._configurations(grid, float(places[k]))
+            price, block = self._priced(at, upright[k], coarse, around.standing, reached)
             cost = cost + price.reshape(grid.shape)
             if not np.isfinite(cost).any():
-                self._refuse(float(places[k - 1]), block, around.labels())
+                found = _obstruction(float(places[k - 1]), block, around.labels())
+                where = describe_position(path, float(places[k - 1]))
+                raise NoPathError(f"{where}beyond it, {found.reason}", found)
         return PlatformPath(first, path.end, _traced(grid, cost, choices, upright, start))
 
     def ends(self, start: Array, around: ObstacleSnapshot) -> Array:
@@ -122,7 +128,9 @@ class PlatformPathSearch:
         first, last = self._path.at(np.array([0.0, end]))[:, [0, 1, 3]]
         grid = _Grid(self._options, _relative(first, start))
         everywhere = np.ones(len(grid.poses), dtype=bool)
-        cost, block = self._priced(grid, end, last, around.standing, everywhere)
+        coarse = self._coarse(grid, np.array([end]), last[None], around.standing)
+        at = self._configurations(grid, end)
+        cost, block = self._priced(at, last, coarse, around.standing, everywhere)
         order = np.argsort(cost)[: np.isfinite(cost).sum()]
         if not len(order):
             found = _obstruction(end, block, around.labels())
@@ -130,51 +138,65 @@ class PlatformPathSearch:
         x, y, psi = last.tolist()
         return se2.displaced(grid.poses[order], (x, y, psi))
 
+    def _coarse(
+        self, grid: "_Grid", places: Array, upright: Array, standing: UprightObstacles
+    ) -> CoarseGaps:
+        """Return the gaps to what stands for layers at some places (n,) of the path [m]."""
+        found = [self._configurations(grid, place) for place in places.tolist()]
+        each = {id(configurations): configurations for configurations in found}.values()
+        heights = np.concatenate([c.placed.centre[..., 2].ravel() for c in each])
+        extent = max(float(np.hypot(c.pose[:, 0], c.pose[:, 1]).max(initial=0.0)) for c in each)
+        # What is between base_link and the tool is no farther from the tool than base_link is.
+        room = extent + self._gaps.radius + MAX_TOOL_DISTANCE
+        return CoarseGaps(
+            self._gaps,
+            standing,
+            upright[:, :2].min(axis=0) - room,
+            upright[:, :2].max(axis=0) + room,
+            (float(heights.min(initial=0.0)), float(heights.max(initial=0.0))),
+            self._options.wide,
+        )
+
     def _priced(
         self,
-        grid: "_Grid",
-        place: float,
+        at: _Configurations,
         upright: Array,
+        coarse: CoarseGaps,
         standing: UprightObstacles,
-        reached: Array,
+        reached: Mask,
     ) -> tuple[Array, tuple[str, int] | None]:
-        """Return the costs (n,) of all points of the grid at a place of the path [m].
+        """Return the costs (n,) of all points of the grid in a layer.
 
         They are infinite where the robot cannot be, and where it does not come from the layer
         before (`reached`). The part and the obstacle that are in the way of the point with the
         widest gap come second. `upright` (3,) is x, y and psi of the tool.
         """
-        o, result = self._options, np.full(math.prod(grid.shape), np.inf)
-        configurations = self._configurations(grid, place)
-        chosen = np.flatnonzero(reached[configurations.cell])
+        o, result = self._options, np.full(len(reached), np.inf)
+        chosen = np.flatnonzero(reached[at.cell])
         if not len(chosen):
             return result, None
-        near = _turned(standing, upright)
-        far = MAX_TOOL_DISTANCE + self._gaps.radius + o.wide
-        distance = np.hypot(*near.centre) - np.hypot(*near.half) - near.rounding
-        index = np.flatnonzero(distance < far)
-        if not len(index):
-            result[configurations.cell[chosen]] = configurations.cost[chosen]
-            return result, None
-        near = near.select(index)
-        platform = self._coarse.platform(configurations.pose[chosen], near)
-        least = platform.min(axis=1)
-        is_free = least >= o.margin
+        x, y, psi = upright.tolist()
+        poses = se2.displaced(at.pose[chosen], (x, y, psi))
+        gap = coarse.platform(poses)
+        is_free = gap >= o.margin
         if not is_free.any():
-            best = int(least.argmax())
-            return result, (self._gaps.names[0], int(index[platform[best].argmin()]))
-        chosen, gap = chosen[is_free], least[is_free]
-        centres = np.moveaxis(configurations.placed.centre[chosen], -1, 0)
-        arm, sphere, obstacle = self._coarse.spheres_least(centres, near)
+            best = poses[[int(gap.argmax())]]
+            nearest = int(self._gaps.platform(best, standing).argmin())
+            return result, (self._gaps.names[0], nearest)
+        chosen, gap = chosen[is_free], gap[is_free]
+        frame = np.broadcast_to(upright, (len(chosen), 3))
+        centre = np.moveaxis(in_odom(frame, at.placed.centre[chosen]), -1, 0)
+        arm = coarse.arm(centre)
         gap = np.minimum(gap, arm)
         is_free = gap >= o.margin
         if not is_free.any():
-            best = int(arm.argmax())
-            part = self._gaps.spheres.part[sphere[best]]
-            return result, (self._gaps.spheres.names[part], int(index[obstacle[best]]))
+            exact = point_gap_values(standing, centre[:, int(arm.argmax())])
+            exact -= self._gaps.spheres.radius[:, None]
+            sphere, nearest = divmod(int(exact.argmin()), len(standing))
+            return result, (self._gaps.part_name(1 + sphere), nearest)
         chosen, gap = chosen[is_free], gap[is_free]
         narrow = np.maximum(o.wide - gap, 0.0) / o.wide
-        result[configurations.cell[chosen]] = configurations.cost[chosen] + o.narrow * narrow**2
+        result[at.cell[chosen]] = at.cost[chosen] + o.narrow * narrow**2
         return result, None
 
     def _configurations(self, grid: "_Grid", place: float) -> _Configurations:
@@ -220,14 +242,6 @@ class PlatformPathSearch:
         distance = np.linalg.norm(wrist - shoulder, axis=1)
         result: Array = distance < longest
         return result
-
-    def _refuse(
-        self, place: float, block: tuple[str, int] | None, labels: tuple[str, ...]
-    ) -> None:
-        """Raise the error for a way that ends at a place of the path [m]."""
-        found = _obstruction(place, block, labels)
-        where = describe_position(self._path, place)
-        raise NoPathError(f"{where}beyond it, {found.reason}", found)
 
 
 def _obstruction(
@@ -339,11 +353,3 @@ def _carried(frame: Array, pose: Array) -> Array:
     c, s = math.cos(frame[2]), math.sin(frame[2])
     x, y, yaw = pose.tolist()
     return np.array([frame[0] + c * x - s * y, frame[1] + s * x + c * y, frame[2] + yaw])
-
-
-def _turned(obstacles: UprightObstacles, frame: Array) -> UprightObstacles:
-    """Return obstacles in a planar frame (3,)."""
-    c, s = math.cos(frame[2]), math.sin(frame[2])
-    offset = obstacles.centre - frame[:2, None]
-    centre = np.array([[c, s], [-s, c]]) @ offset
-    return replace(obstacles, centre=centre, yaw=obstacles.yaw - frame[2])

@@ -1,0 +1,58 @@
+"""Gaps to obstacles that are far away need not be exact, those to near ones do."""
+
+import numpy as np
+import pytest
+
+from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.upright_obstacles import UprightObstacles
+from omniman_ros.motion.whole_body.held_tool import HeldTool
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.planning.whole_body.body_gaps import FAR, NEAR, BodyGaps
+from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
+from test.planning.whole_body.support import START, setup
+
+SETUP = setup()
+GAPS = BodyGaps(SETUP.description, SETUP.tool, None, 0.1)
+MODEL = WholeBodyModel(SETUP.description.mount)
+
+
+def mixed(seed):
+    """Return cells of a map, posts and walls around the robot, and two who walk on."""
+    random = np.random.default_rng(seed)
+    x, y, yaw = random.uniform(-2.5, 2.5, (3, 60))
+    each = [UprightObstacles.box((x[k], y[k], yaw[k]), 0.05, 0.05, (-9, 9)) for k in range(50)]
+    each += [UprightObstacles.cylinder(x[k], y[k], 0.1, (0.0, 0.9)) for k in range(50, 55)]
+    each += [UprightObstacles.box((x[k], y[k], yaw[k]), 1.0, 0.1, (0, 2)) for k in range(55, 58)]
+    walkers = [UprightObstacles.cylinder(x[k], y[k], 0.25, (0.0, 1.8)) for k in (58, 59)]
+    moving = MovingObstacles(UprightObstacles.join(walkers), random.uniform(-1, 1, (2, 2)))
+    return ObstacleSnapshot(0.0, UprightObstacles.join(each), moving, np.full(2, 0.3))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gaps_to_what_stands_are_exact_where_they_are_near_and_no_larger_elsewhere(seed):
+    around, random = mixed(seed), np.random.default_rng(seed)
+    poses = np.cumsum(random.uniform(-0.1, 0.1, (30, 3)), axis=0)
+    arm = START[3:] + random.uniform(-0.2, 0.2, (30, 6))
+    arm[-1] = np.nan  # out of reach
+    centre, placed = GAPS.spheres.place(arm).centre, around.placed(np.linspace(0.0, 2.0, 30))
+    exact = GAPS.to_obstacles(poses, centre, placed, 0)[:-1]
+    found = GAPS.to_obstacles(poses, centre, placed, len(around.standing))[:-1]
+    least = exact.min(axis=(0, 1))
+    bounded = (found == found[:1, :1]).all(axis=(0, 1))
+    assert 5 < bounded.sum() < 55
+    assert (least[bounded] >= found[0, 0, bounded]).all() and (found[0, 0, bounded] > NEAR).all()
+    assert np.array_equal(found[..., ~bounded], exact[..., ~bounded])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_rows_within_a_reach_are_the_same_whatever_is_beyond(seed):
+    around, reach = mixed(seed), 0.5
+    redundancy = ToolRedundancy(MODEL, HeldTool(MODEL.forward(START)), START[3:])
+    z = np.column_stack([np.random.default_rng(seed).uniform(-0.1, 0.1, (8, 3)), np.zeros(8)])
+    at, ages = redundancy.configurations(z), np.linspace(0.1, 0.8, 8)
+    whole, found = (GAPS.rows(at, around, ages, each, 40) for each in (50.0, reach))
+    for k in range(8):
+        a, b = (np.sort(rows.gap[k][rows.gap[k] <= reach]) for rows in (whole, found))
+        assert len(a) > 5 and a == pytest.approx(b, abs=1e-12)
+        assert (np.sort(found.gap[k])[len(a) :] == FAR).all()
