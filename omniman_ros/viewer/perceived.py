@@ -5,12 +5,19 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.viewer.body_view import BodyView
+from omniman_ros.viewer.body_view import BodyView, PlanView
 from omniman_ros.viewer.lines import Line, outlines, segments
 from omniman_ros.viewer.map_image import MapImage
 
-#: Layers that can be switched on the page, and whether each is on at first
-LAYERS = {"scan": True, "map": True, "tracks": True, "contacts": True, "shapes": False}
+#: Layers that can be switched on the page, by their labels, and whether each is on at first
+LAYERS = {
+    "scan": True,
+    "map": True,
+    "tracked obstacles": True,
+    "contacts": True,
+    "plan of the body": True,
+    "shapes for distances": False,
+}
 FRESHNESS_TIMEOUT = 1.0  #: Age from which something perceived is not drawn [s]; maps are kept
 DEVIATIONS = 2.0  #: Radius of the circles of uncertainty, in standard deviations
 ARROW_TIME = 1.0  #: Time after which a tracked obstacle will be at the tip of its arrow [s]
@@ -91,6 +98,7 @@ class Perceived:
     speed_fractions: tuple[float, float] | None = None
     tip_over_margin: float | None = None  #: Tip-over margin [m]; None while it is not received
     body: BodyView | None = None  #: Shapes for distances; None while they are not shown
+    plan: PlanView | None = None  #: Plan of the whole body; None while there is none
     _scans: dict[str, tuple[Array, float]] = field(default_factory=dict)
     _received_at: dict[str, float] = field(default_factory=dict)
 
@@ -103,6 +111,11 @@ class Perceived:
         """Store the tracked obstacles, received at `now` [s]."""
         self.tracks, self.tracks_version = tracks, self.tracks_version + 1
         self._received_at["tracks"] = now
+
+    def update_plan(self, plan: PlanView, now: float) -> None:
+        """Store the plan of the whole body, received at `now` [s]."""
+        self.plan = plan
+        self._received_at["plan"] = now
 
     def update_margin(self, margin: float, now: float) -> None:
         """Store the tip-over margin [m], received at `now` [s]."""
@@ -123,6 +136,8 @@ class Perceived:
             self._join_scans()
         if len(self.tracks) and self._is_old("tracks", now):
             self.tracks, self.tracks_version = Tracks.none(), self.tracks_version + 1
+        if self._is_old("plan", now):
+            self.plan = None
         if self._is_old("margin", now):
             self.tip_over_margin = None
         if self._is_old("shares", now):

@@ -1,11 +1,11 @@
-"""What the robot perceives: map, scan, tracked obstacles, contacts, and shapes for distances."""
+"""What the robot perceives: map, scan, tracked obstacles, contacts, shapes, and its plan."""
 
 import numpy as np
 import viser
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.viewer import style
-from omniman_ros.viewer.body_view import BodyView
+from omniman_ros.viewer.body_view import BodyView, Nearest, PlanView
 from omniman_ros.viewer.floor_shapes import disc
 from omniman_ros.viewer.map_image import MapImage
 from omniman_ros.viewer.meshes import rotation, sphere
@@ -31,15 +31,26 @@ class PerceivedScene:
         self._circles = SceneLine(api, f"{root}/track_circles", style.TRACK, 1.5, 1)
         self._contacts = MeshBatch(api, f"{root}/contacts", sphere(), style.CONTACT, OPAQUE)
         self._body = _Body(api, f"{root}/shapes")
+        self._plan: PlanView | None = None
+        self._ghosts = SceneLine(api, f"{root}/plan_ghosts", style.PLAN, 2.0, 1)
+        self._avoided = SceneLine(api, f"{root}/plan_nearest", style.NEAREST, 4.0, 1)
 
     def draw(self, perceived: Perceived, layers: frozenset[str]) -> None:
         """Draw the layers with these names, see `perceived.LAYERS`, and hide the others."""
         self._map.draw(perceived.map if "map" in layers else None)
         self._scan.draw(perceived.scan.points, perceived.scan.version, shown="scan" in layers)
-        self._draw_tracks(perceived, shown="tracks" in layers)
+        self._draw_tracks(perceived, shown="tracked obstacles" in layers)
         contacts = perceived.contacts.values() if "contacts" in layers else ()
         self._draw_contacts(list(contacts))
-        self._body.draw(perceived.body if "shapes" in layers else None)
+        self._body.draw(perceived.body if "shapes for distances" in layers else None)
+        self._draw_plan(perceived.plan if "plan of the body" in layers else None)
+
+    def _draw_plan(self, plan: PlanView | None) -> None:
+        if plan is self._plan:
+            return
+        self._plan = plan
+        self._ghosts.draw(np.zeros((0, 2, 3)) if plan is None else plan.ghosts)
+        self._avoided.draw(_to_nearest(None if plan is None else plan.nearest))
 
     def _draw_tracks(self, perceived: Perceived, *, shown: bool) -> None:
         version = perceived.tracks_version if shown else -1
@@ -145,8 +156,12 @@ class _Body:
         edges = np.stack((corners, np.roll(corners, -1, axis=1)), axis=2).reshape(-1, 2, 2)
         heights = np.full((len(edges), 2, 1), TRACK_HEIGHT)
         self._footprint.draw(np.concatenate((edges, heights), axis=2))
-        nearest = np.zeros((0, 2, 3)) if body.nearest is None else body.nearest.line[None]
-        self._nearest.draw(nearest)
+        self._nearest.draw(_to_nearest(body.nearest))
+
+
+def _to_nearest(nearest: Nearest | None) -> Array:
+    """Return the line (s, 2, 3) to what is nearest, if anything is [m]."""
+    return np.zeros((0, 2, 3)) if nearest is None else nearest.line[None]
 
 
 def _upright(count: int) -> Array:
