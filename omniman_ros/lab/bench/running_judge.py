@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.lab.measurement import spread_ms
-from omniman_ros.lab.studies.body_judge import columns_at
+from omniman_ros.lab.measurement import columns_at, spread_ms
 from omniman_ros.lab.studies.running_body import ENDS, BodyRecording
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 

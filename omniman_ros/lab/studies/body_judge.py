@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
+from omniman_ros.lab.measurement import columns_at
 from omniman_ros.lab.studies.avoidance_scenes import AvoidanceScene, SceneGenerator
 from omniman_ros.lab.studies.body_loop import BodyRecord
 from omniman_ros.simulation.world.distances import ConfigurationDistances
@@ -91,8 +92,3 @@ def judged(generator: SceneGenerator, scene: AvoidanceScene, record: BodyRecord)
         stop=record.stop,
         completed_at=record.completed_at,
     )
-
-
-def columns_at(rows: Array, times: Array) -> Array:
-    """Return the columns after the time, (n, c) at times (n,), by linear interpolation."""
-    return np.column_stack([np.interp(times, rows[:, 0], column) for column in rows[:, 1:].T])

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.lab.studies.body_judge import REACH, STEP, JudgedBody, columns_at
+from omniman_ros.lab.studies.body_judge import REACH, STEP, JudgedBody
 
 
 def made(rate=0.1, touches=(), gaps=None, off=0.0, peak=0.0, completed_at=1.0):
@@ -48,10 +48,3 @@ def test_figures_are_those_of_the_tool_along_its_path_and_of_the_nearest_thing()
     assert drive.rms == pytest.approx(0.001)
     assert drive.least_gap == pytest.approx(0.3)
     assert made(gaps=np.zeros((round(1.0 / STEP), 0))).least_gap == REACH
-
-
-def test_columns_are_interpolated_between_the_times_of_their_rows():
-    rows = np.array([[0.0, 1.0, -1.0], [2.0, 3.0, -5.0]])
-    assert columns_at(rows, np.array([0.5, 1.0])) == pytest.approx(
-        np.array([[1.5, -2.0], [2.0, -3.0]])
-    )
