@@ -516,8 +516,8 @@ def names(stage):
 
 
 def test_plan_and_reference_are_drawn_with_every_frame(stage):
-    stage.state.update_plan(np.array([[0.0, 0.0], [1.0, 0.5]]), 1.0)
-    stage.state.update_reference(np.array([[0.0, 0.0], [0.5, 0.0]]), 1.0)
+    stage.state.update_line("plan", np.array([[0.0, 0.0], [1.0, 0.5]]), 1.0)
+    stage.state.update_line("reference", np.array([[0.0, 0.0], [0.5, 0.0]]), 1.0)
     stage.scene.draw(stage.state, False)
     for name in ("plan", "reference"):
         handle = stage.server.scene.get_handle_by_name(f"/world/{name}")
