@@ -18,7 +18,7 @@ LAYERS = {
     "plan of the body": True,
     "shapes for distances": False,
 }
-FRESHNESS_TIMEOUT = 1.0  #: Age from which something perceived is not drawn [s]; maps are kept
+FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]; maps stay
 DEVIATIONS = 2.0  #: Radius of the circles of uncertainty, in standard deviations
 ARROW_TIME = 1.0  #: Time after which a tracked obstacle will be at the tip of its arrow [s]
 SLOWEST = 0.05  #: Speed from which a tracked obstacle has an arrow [m/s]
@@ -92,7 +92,6 @@ class Perceived:
     scan: Line = field(default_factory=lambda: Line(np.empty((0, 3))))
     map: MapImage | None = None  #: The map of what stands; None while it has no place
     tracks: Tracks = field(default_factory=Tracks.none)  #: Tracked obstacles
-    tracks_version: int = 0  #: Changes whenever the tracks change
     contacts: dict[str, Contact] = field(default_factory=dict)  #: Contacts by their names
     #: Shares that the monitor leaves; None: silent
     speed_fractions: tuple[float, float] | None = None
@@ -109,7 +108,7 @@ class Perceived:
 
     def update_tracks(self, tracks: Tracks, now: float) -> None:
         """Store the tracked obstacles, received at `now` [s]."""
-        self.tracks, self.tracks_version = tracks, self.tracks_version + 1
+        self.tracks = tracks
         self._received_at["tracks"] = now
 
     def update_plan(self, plan: PlanView, now: float) -> None:
@@ -135,7 +134,7 @@ class Perceived:
         if old:
             self._join_scans()
         if len(self.tracks) and self._is_old("tracks", now):
-            self.tracks, self.tracks_version = Tracks.none(), self.tracks_version + 1
+            self.tracks = Tracks.none()
         if self._is_old("plan", now):
             self.plan = None
         if self._is_old("margin", now):

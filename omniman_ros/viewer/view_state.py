@@ -10,7 +10,7 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer.lines import Line, Trail
-from omniman_ros.viewer.perceived import Perceived
+from omniman_ros.viewer.perceived import FRESHNESS_TIMEOUT, Perceived
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 from omniman_ros.viewer.signal_window import SignalWindow
 from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
@@ -18,7 +18,6 @@ from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`
 
 DIAGNOSTICS_TIMEOUT = 3.0  #: Age at which a warning or error that is not repeated goes [s]
-FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]
 PATH_NODES = ("path_interpolator", "whole_body_planner")  #: Nodes that drive along given paths
 PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")  #: Nodes that can be paused, resumed and cancelled
 #: Values of `state` in `mpc/status` while the planner has a goal to drive to

@@ -29,7 +29,8 @@ if TYPE_CHECKING:  # needs casadi, which is optional
 
 DELAY_DECAY = 0.9  #: Factor by which the delay of plans that is expected falls from cycle to cycle
 LONGEST_SENT = 2.0  #: Longest time for which a motion is sent ahead [s]
-PLAN_STEP = 0.5  #: Time between two points of a plan that is shown [s]
+#: Time between two points of a plan that is shown, and from now to the last one at most [s]
+PLAN_STEP, LONGEST_SHOWN = 0.5, 5.0
 SENT_STEP = 0.2  #: Step of that time: a message with another number of points is made anew [s]
 
 
@@ -126,9 +127,9 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         super().publish(max(horizon, self._sent_for), platform=platform)
 
     def plan_message(self) -> JointTrajectory:
-        """Return the plan that is followed, from now to its end, as a trajectory of all axes."""
+        """Return the plan that is followed, from now on, as a trajectory of all axes."""
         p, now = self._motions.options, self._motions.time_base.now()
-        left = max(self.core.task.controller.motion.end - now, 0.0)
+        left = min(max(self.core.task.controller.motion.end - now, 0.0), LONGEST_SHOWN)
         times = PLAN_STEP * np.arange(math.ceil(left / PLAN_STEP) + 1, dtype=float)
         names = (*PLATFORM_AXES, *p.arm.joints)
         message = joint_reference_message(names, len(times), PLAN_STEP)

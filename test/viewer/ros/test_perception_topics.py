@@ -191,7 +191,7 @@ def plan_message(names, *points):
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_what_cannot_be_used_is_refused_with_a_warning(world, kind, topic, message):
-    shown = (seen(world).map, seen(world).scan.version, seen(world).tracks_version)
+    shown = (seen(world).map, seen(world).scan.version, seen(world).tracks)
     world.publisher(kind, topic, LATCHED).publish(message)
     counts = world.nodes[-1]._throttle.counts
     counts.clear()
@@ -199,7 +199,7 @@ def test_what_cannot_be_used_is_refused_with_a_warning(world, kind, topic, messa
     world.run(0.05)
     assert seen(world).map is shown[0] and not seen(world).contacts and not seen(world).plan
     assert not len(seen(world).scan.points) or seen(world).scan.version == shown[1]
-    assert not len(seen(world).tracks) or seen(world).tracks_version == shown[2]
+    assert not len(seen(world).tracks) or seen(world).tracks is shown[2]
 
 
 def test_the_robots_shapes_are_computed_only_while_they_are_shown(world):
