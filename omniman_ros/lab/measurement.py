@@ -1,4 +1,4 @@
-"""Measurement of CPU time, and statistics of measured times."""
+"""Measurement of CPU time, statistics of measured times, and samples of measured rows."""
 
 import math
 import os
@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from omniman_ros.console.errors import CommandError
+from omniman_ros.core.arrays import Array
 
 #: Environment variables that restrict numerical libraries to one thread.
 #:
@@ -70,3 +71,8 @@ def spread_ms(seconds: Sequence[float]) -> dict[str, float]:
     """Return the median, the 99th percentile and the maximum of times [ms]; NaN without any."""
     values = 1e3 * np.percentile(np.asarray(seconds or [np.nan]), (50.0, 99.0, 100.0))
     return dict(zip(("median_ms", "p99_ms", "max_ms"), values.tolist(), strict=True))
+
+
+def columns_at(rows: Array, times: Array) -> Array:
+    """Return the columns after the time, (n, c) at times (n,), by linear interpolation."""
+    return np.column_stack([np.interp(times, rows[:, 0], column) for column in rows[:, 1:].T])

@@ -188,6 +188,11 @@ EXPERIMENTS = {
         "platform and arm in step, with and without the arm's correction",
         (SEED, WORLD),
     ),
+    "dodge": Study(
+        "reproduce.dodge",
+        "CCTA 2017, V.A: the body dodges posts, a table and persons, the tool stays on its path",
+        (SEED,),
+    ),
     "free": Study("reproduce.cases", "MPC 2021, 4.1: free movement", (SEED, WORLD), robot="ig42"),
     "corridor": Study(
         "reproduce.cases", "MPC 2021, 4.2: a narrow corridor", (SEED, WORLD), robot="ig42"

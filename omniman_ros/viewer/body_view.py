@@ -1,6 +1,8 @@
 """The shapes of the robot by which distances are computed, and what is nearest to them."""
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +15,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.whole_body.model import planar_transform
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
@@ -49,12 +52,22 @@ class BodyView:
     nearest: Nearest | None  #: What is nearest; None if nothing is near
 
 
+@dataclass(frozen=True)
+class PlanView:
+    """The motion of the whole body that is planned."""
+
+    ghosts: Array  #: (s, 2, 3) lines in `odom`: platform and arm at some instants [m]
+    nearest: Nearest | None  #: What it avoids: what is nearest on the way; None if nothing is near
+
+
 class BodyShapes:
     """Computes the view of a robot's shapes."""
 
     def __init__(
         self, description: DescriptionParameters, tool: ToolShape, load: LoadShape
     ) -> None:
+        half = 0.5 * np.array([description.robot.body.length, description.robot.body.width])
+        self._box: Array = half * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
         self._geometry = BodyGeometry(description, tool, load)
         self._outline = BodyOutline(description, tool, load)
         has_arm = carries_arm(description.robot)
@@ -74,12 +87,31 @@ class BodyShapes:
         """
         start, end, radius = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
         if self._arm is not None:
-            frames = planar_transform(pose) @ self._arm.frames(joints)
-            axes = self._arm.capsules(frames)
+            axes = self._arm.capsules(self._links(pose, joints))
             start, end, radius = axes.start.T, axes.end.T, self._arm.radius
         footprint = _in_odom(self._footprint(joints), pose)
         nearest = self._nearest(pose, joints, obstacles, start, end)
         return BodyView(start, end, radius, footprint, nearest)
+
+    def plan_view(self, plan: Array, obstacles: Sequence[UprightObstacles]) -> PlanView:
+        """Return the view of a plan, axes (k, 9), with what is around at each of its instants."""
+        ghosts, near = [], []
+        for axes, around in zip(plan, obstacles, strict=True):
+            pose, joints = axes[PLATFORM_COLUMNS], axes[JOINT_COLUMNS]
+            corners = np.insert(_in_odom(self._box, pose), 2, PLATFORM_HEIGHT, axis=1)
+            links = self._links(pose, joints)[:, :3, 3]
+            ghosts += [*zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+            ghosts += [*itertools.pairwise(links)]
+            near.append(self.view(pose, joints, around).nearest)
+        known = [each for each in near if each is not None]
+        nearest = min(known, key=lambda each: each.distance, default=None)
+        return PlanView(np.array(ghosts), nearest)
+
+    def _links(self, pose: Array, joints: Array) -> Array:
+        """Return the poses (7, 4, 4) of the arm's links in `odom`."""
+        assert self._arm is not None
+        result: Array = planar_transform(pose) @ self._arm.frames(joints)
+        return result
 
     def _footprint(self, joints: Array) -> Array:
         """Return the corners (P, 4, 2) in base_link of the rectangles at all heights [m]."""
@@ -118,7 +150,7 @@ class BodyShapes:
 
 
 def obstacles_around(
-    pose: Array, others: Ellipses, placed: ObstacleArrays, scan: Array
+    pose: Array, others: Ellipses, placed: ObstacleArrays, scan: Array, ahead: float = 0.0
 ) -> UprightObstacles:
     """Return what is around the robot: obstacles, and the nearest points of scanners.
 
@@ -127,6 +159,7 @@ def obstacles_around(
     Args:
         pose: Pose (3,) of base_link in `odom` [m, m, rad].
         scan: Points (k, 3) in `odom` [m].
+        ahead: Time for which the obstacles go on before at their velocities [s].
     """
     away = np.hypot(*(scan[:, :2] - pose[:2]).T)
     points = scan[np.argsort(away)[:NEAREST_POINTS], :2]
@@ -134,11 +167,12 @@ def obstacles_around(
     own = Ellipses(
         0.0, placed.centers, placed.velocities, placed.semi_axes, placed.angles, np.zeros(m)
     )
+    moved = (replace(e, centers=e.centers + ahead * e.velocities) for e in (others, own))
     flat = np.zeros(k)
     beams = UprightObstacles(
         points.T, flat, np.zeros((2, k)), flat, flat - FARTHEST, flat + FARTHEST
     )
-    known = (ellipse_surroundings(each).obstacles for each in (others, own))
+    known = (ellipse_surroundings(each).obstacles for each in moved)
     return UprightObstacles.join([*known, beams])
 
 

@@ -93,7 +93,7 @@ class ViewerNode(OmnimanNode):
         self._topics.process_latest()
         self._poses.step(now)
         self._obstacles.publish(now)
-        for source in (self._robot, self._planner, self.state):
+        for source in (self._robot, self.state):
             source.sample(now)
 
     def _reset_time(self, now: float) -> None:

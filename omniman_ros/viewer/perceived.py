@@ -5,13 +5,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.viewer.body_view import BodyView
+from omniman_ros.viewer.body_view import BodyView, PlanView
 from omniman_ros.viewer.lines import Line, outlines, segments
 from omniman_ros.viewer.map_image import MapImage
 
-#: Layers that can be switched on the page, and whether each is on at first
-LAYERS = {"scan": True, "map": True, "tracks": True, "contacts": True, "shapes": False}
-FRESHNESS_TIMEOUT = 1.0  #: Age from which something perceived is not drawn [s]; maps are kept
+#: Layers that can be switched on the page, by their labels, and whether each is on at first
+LAYERS = {
+    "scan": True,
+    "map": True,
+    "tracked obstacles": True,
+    "contacts": True,
+    "plan of the body": True,
+    "shapes for distances": False,
+}
+FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]; maps stay
 DEVIATIONS = 2.0  #: Radius of the circles of uncertainty, in standard deviations
 ARROW_TIME = 1.0  #: Time after which a tracked obstacle will be at the tip of its arrow [s]
 SLOWEST = 0.05  #: Speed from which a tracked obstacle has an arrow [m/s]
@@ -85,12 +92,12 @@ class Perceived:
     scan: Line = field(default_factory=lambda: Line(np.empty((0, 3))))
     map: MapImage | None = None  #: The map of what stands; None while it has no place
     tracks: Tracks = field(default_factory=Tracks.none)  #: Tracked obstacles
-    tracks_version: int = 0  #: Changes whenever the tracks change
     contacts: dict[str, Contact] = field(default_factory=dict)  #: Contacts by their names
     #: Shares that the monitor leaves; None: silent
     speed_fractions: tuple[float, float] | None = None
     tip_over_margin: float | None = None  #: Tip-over margin [m]; None while it is not received
     body: BodyView | None = None  #: Shapes for distances; None while they are not shown
+    plan: PlanView | None = None  #: Plan of the whole body; None while there is none
     _scans: dict[str, tuple[Array, float]] = field(default_factory=dict)
     _received_at: dict[str, float] = field(default_factory=dict)
 
@@ -101,8 +108,13 @@ class Perceived:
 
     def update_tracks(self, tracks: Tracks, now: float) -> None:
         """Store the tracked obstacles, received at `now` [s]."""
-        self.tracks, self.tracks_version = tracks, self.tracks_version + 1
+        self.tracks = tracks
         self._received_at["tracks"] = now
+
+    def update_plan(self, plan: PlanView, now: float) -> None:
+        """Store the plan of the whole body, received at `now` [s]."""
+        self.plan = plan
+        self._received_at["plan"] = now
 
     def update_margin(self, margin: float, now: float) -> None:
         """Store the tip-over margin [m], received at `now` [s]."""
@@ -122,7 +134,9 @@ class Perceived:
         if old:
             self._join_scans()
         if len(self.tracks) and self._is_old("tracks", now):
-            self.tracks, self.tracks_version = Tracks.none(), self.tracks_version + 1
+            self.tracks = Tracks.none()
+        if self._is_old("plan", now):
+            self.plan = None
         if self._is_old("margin", now):
             self.tip_over_margin = None
         if self._is_old("shares", now):

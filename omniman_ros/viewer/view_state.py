@@ -10,7 +10,7 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer.lines import Line, Trail
-from omniman_ros.viewer.perceived import Perceived
+from omniman_ros.viewer.perceived import FRESHNESS_TIMEOUT, Perceived
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 from omniman_ros.viewer.signal_window import SignalWindow
 from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
@@ -18,7 +18,6 @@ from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`
 
 DIAGNOSTICS_TIMEOUT = 3.0  #: Age at which a warning or error that is not repeated goes [s]
-FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]
 PATH_NODES = ("path_interpolator", "whole_body_planner")  #: Nodes that drive along given paths
 PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")  #: Nodes that can be paused, resumed and cancelled
 #: Values of `state` in `mpc/status` while the planner has a goal to drive to
@@ -82,6 +81,8 @@ class ViewState:
         self.speeds: dict[str, float] = {}
         self.path, self.reference, self.tool_path = Line(), Line(), Line()
         self.plan, self.route, self.predicted = Line(), Line(), Line()
+        self._repeated = {"reference": self.reference, "plan": self.plan}
+        self._repeated |= {"route": self.route, "predicted": self.predicted}
         self.wheel_angles = np.zeros(wheels)  #: Measured wheel angles (n,) [rad]
         self.arm: Array | None = None  #: Measured joint angles (6,) [rad]; None until received
         self._counts = {
@@ -182,20 +183,14 @@ class ViewState:
         kept[:count] = values[:count]
         self._received_at[name] = now
 
-    def update_reference(self, points: Array, now: float) -> None:
-        """Store the part of the path to be driven next as points (k, 2) in `odom` [m]."""
-        self.reference.set(points)
-        self._received_at["reference"] = now
+    def update_line(self, name: str, points: Array, now: float) -> None:
+        """Store points (k, 2) in `odom` [m] of a line that is sent again and again.
 
-    def update_plan(self, points: Array, now: float) -> None:
-        """Store the motion that the planner has planned as points (k, 2) in `odom` [m]."""
-        self.plan.set(points)
-        self._received_at["plan"] = now
-
-    def update_predicted(self, outlines: Array, now: float) -> None:
-        """Store the outlines (k, 2) of the predicted obstacles in `odom` [m]."""
-        self.predicted.set(outlines)
-        self._received_at["predicted"] = now
+        Args:
+            name: `reference`, `plan`, `route` or `predicted`, the last with outlines.
+        """
+        self._repeated[name].set(points)
+        self._received_at[name] = now
 
     def update_planner(self, values: dict[str, str], now: float) -> None:
         """Store the planner's status, the values of `mpc/status` by key."""
@@ -239,11 +234,7 @@ class ViewState:
         known["speeds"] = np.concatenate([known["measured"], known["commanded"]])
         for name, window in self.windows.items():
             window.sample(now, known[name])
-        for line, name in (
-            (self.reference, "reference"),
-            (self.plan, "plan"),
-            (self.predicted, "predicted"),
-        ):
+        for name, line in self._repeated.items():
             if len(line.points) and not self.is_fresh(name, now):
                 line.set(line.points[:0])
         self.perceived.sample(now)
@@ -270,8 +261,8 @@ class ViewState:
         """Return whether a value was received less than `FRESHNESS_TIMEOUT` before `now` [s].
 
         Args:
-            name: `odom`, `truth`, `arm`, `tool`, `reference`, `plan`, `predicted`, `planner`,
-                `progress` or a signal of :meth:`update_signal`.
+            name: `odom`, `truth`, `arm`, `tool`, `planner`, `progress`, a line of
+                :meth:`update_line` or a signal of :meth:`update_signal`.
         """
         return now - self._received_at.get(name, -np.inf) < FRESHNESS_TIMEOUT
 

@@ -59,6 +59,13 @@ def test_an_experiment_runs_in_the_physics_world(name, tmp_path, capfd):
     assert written(capfd, tmp_path, f"reproduce_{name}_rollers")["world"] == "rollers"
 
 
+def test_the_body_dodges(tmp_path, capfd):
+    pytest.importorskip("mujoco")
+    assert main(["reproduce", "dodge", "--quick", "--results", str(tmp_path)]) == 0
+    (drive,) = written(capfd, tmp_path, "reproduce_dodge_rollers")["drives"]
+    assert drive["tool_m"] > 1.9
+
+
 def test_random_scenes_are_driven(tmp_path, capfd):
     words = ["--seeds", "0:2", "--jobs", "1", "--solve-time", "0.01", "--results", str(tmp_path)]
     assert main(["reproduce", "scenes", *words]) == 0

@@ -6,9 +6,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Bool
+from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.whole_body_planner.node import WholeBodyPlannerNode
@@ -84,6 +86,34 @@ def test_the_tool_follows_its_path_and_both_previews_begin_together(world):
     stamps = {round(time_seconds(world.message(k).header.stamp), 6) for k in range(2, 30)}
     assert stamps <= begins
     assert not world.warnings and world.status().level == DiagnosticStatus.OK
+
+
+def test_the_plan_is_published_from_where_the_robot_is_to_rest_while_it_is_followed(world):
+    plans, poses = [], []
+
+    def note(message):
+        plans.append(message)
+        poses.append(np.concatenate([world.poses[-1][1:], world.joints]))
+
+    world.probe.create_subscription(JointTrajectory, "body/plan", note, 10)
+    world.run(0.2)
+    assert not plans
+    world.lead(SHORT)
+    world.run(1.0)
+    plan = plans[-1]
+    assert plan.joint_names == [*PLATFORM_AXES, *world.node.settings.value.arm.joints]
+    axes = np.array([point.positions for point in plan.points])
+    assert axes[0] == pytest.approx(poses[-1], abs=0.01)
+    times = np.array([time_seconds(point.time_from_start) for point in plan.points])
+    assert np.diff(times) == pytest.approx(0.5) and times[-1] >= 1.0
+    tool = MODEL.forward(axes)[:, :3, 3]
+    assert tool[:, 2] == pytest.approx(START[2, 3], abs=1e-4)
+    assert np.linalg.norm(tool[-1] - tool[0]) > 0.1
+    world.run_to_motion_end(30.0)
+    world.run(0.2)
+    count = len(plans)
+    world.run(0.5)
+    assert len(plans) == count
 
 
 def test_what_cannot_be_is_refused_before_anything_moves():

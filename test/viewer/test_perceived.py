@@ -121,6 +121,35 @@ def test_the_nearest_thing_is_found_with_the_part_and_the_distance(shapes):
     assert ahead is not None and ahead.part.startswith("wrist")
 
 
+def moving_disc(x, y, vx, vy):
+    return Ellipses.circles(0.0, [[x, y]], [[vx, vy]], 0.2)
+
+
+def test_a_plan_is_shown_by_platform_and_arm_at_each_instant_and_by_what_it_avoids(shapes):
+    plan = np.zeros((2, 9))
+    plan[:, 3:], plan[1, :3] = ARM, (1.0, 2.0, math.pi / 2)
+    way = [
+        obstacles_around(
+            q[:3], moving_disc(3.0, 2.0, -1.0, 0.0), ObstacleArrays.empty(), np.zeros((0, 3)), t
+        )
+        for q, t in zip(plan, (0.0, 1.0), strict=True)
+    ]
+    view = shapes.plan_view(plan, way)
+    here, there = np.split(view.ghosts, 2)
+    assert len(here) == 4 + 6, "edges of the platform, and links of the arm"
+    turned = np.stack([1.0 - here[..., 1], 2.0 + here[..., 0], here[..., 2]], axis=-1)
+    assert there == pytest.approx(turned)
+    box = robot_parameters("omniman")
+    assert np.ptp(here[:4].reshape(-1, 3), axis=0)[:2] == pytest.approx(
+        [box["body.length"], box["body.width"]]
+    )
+    assert view.nearest is not None
+    assert view.nearest.line[1, :2] == pytest.approx([2.0, 2.0]), "where it is by then"
+    gap = 1.0 - 0.5 * box["body.width"] - 0.2
+    assert view.nearest.distance == pytest.approx(gap, abs=1e-6)
+    assert shapes.plan_view(plan, [near((50.0, 0.0, 0.2))] * 2).nearest is None
+
+
 def test_without_anything_near_there_is_no_nearest(shapes):
     assert shapes.view(np.zeros(3), ARM, near((50.0, 0.0, 0.2))).nearest is None
     assert shapes.view(np.zeros(3), ARM, near(*np.zeros((0, 3)))).nearest is None

@@ -2,8 +2,9 @@ import re
 
 import numpy as np
 
+from omniman_ros.viewer.perceived import FRESHNESS_TIMEOUT
 from omniman_ros.viewer.status_text import BAD, GOOD, MAX_LENGTH, hint, legend, status
-from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, Condition, ViewState
+from omniman_ros.viewer.view_state import Condition, ViewState
 
 
 def words(html):

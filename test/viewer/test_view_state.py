@@ -42,7 +42,7 @@ def test_any_number_of_coupling_errors_is_accepted(count):
 
 def test_a_reference_that_is_not_repeated_is_discarded():
     state = ViewState(4, 1)
-    state.update_reference(np.ones((3, 2)), 10.0)
+    state.update_line("reference", np.ones((3, 2)), 10.0)
     state.sample(10.0)
     assert len(state.reference.points) == 3
     version = state.reference.version
@@ -72,7 +72,7 @@ def test_a_missing_node_is_marked_until_it_returns():
 
 def test_a_plan_that_is_not_repeated_is_discarded():
     state = ViewState(4, 1)
-    state.update_plan(np.ones((3, 2)), 10.0)
+    state.update_line("plan", np.ones((3, 2)), 10.0)
     state.sample(10.5)
     assert len(state.plan.points) == 3
     state.sample(11.5)

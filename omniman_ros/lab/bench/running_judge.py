@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.lab.measurement import spread_ms
+from omniman_ros.lab.measurement import columns_at, spread_ms
 from omniman_ros.lab.studies.running_body import ENDS, BodyRecording
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
@@ -33,7 +33,7 @@ def tool_positions(recording: BodyRecording, model: WholeBodyModel) -> Array:
     """Return times and measured positions of the tool in odom (n, 4), by odom and joints."""
     odom, joints = np.array(recording.odom), np.array(recording.joints)
     times = odom[(odom[:, 0] >= joints[0, 0]) & (odom[:, 0] <= joints[-1, 0]), 0]
-    at = np.column_stack([times, *_columns(odom, times), *_columns(joints, times)])
+    at = np.column_stack([times, columns_at(odom, times), columns_at(joints, times)])
     return np.column_stack([times, model.forward(at[:, 1:])[:, :3, 3]])
 
 
@@ -66,7 +66,7 @@ def tool_errors(tool: Array, references: Sequence[Array], curve: Array) -> dict[
     """
     table = _by_time(references)
     inside = between(tool, table[0, 0], table[-1, 0])
-    due = np.column_stack(_columns(table, inside[:, 0]))
+    due = columns_at(table, inside[:, 0])
     off = np.linalg.norm(inside[:, 1:] - due, axis=1)
     from_curve = distances_to_curve(tool[:, 1:], curve)
     result = {}
@@ -123,11 +123,6 @@ def movement(recording: BodyRecording, since: float) -> dict[str, float]:
     moved = np.linalg.norm(platform[:, 1:3] - platform[0, 1:3], axis=1).max()
     turned = np.abs(joints[:, 1:7] - joints[0, 1:7]).max()
     return {"platform_mm": 1e3 * float(moved), "joints_mrad": 1e3 * float(turned)}
-
-
-def _columns(rows: Array, times: Array) -> list[Array]:
-    """Return all columns after the time, each (n,) at times (n,), by linear interpolation."""
-    return [np.interp(times, rows[:, 0], column) for column in rows[:, 1:].T]
 
 
 def _by_time(rows: Sequence[Array]) -> Array:

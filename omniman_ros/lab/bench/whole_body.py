@@ -34,7 +34,7 @@ from omniman_ros.lab.bench.harness import (
     cpu_share_figures,
     running_nodes,
 )
-from omniman_ros.lab.measurement import best_cpu, median_cpu
+from omniman_ros.lab.measurement import best_cpu, columns_at, median_cpu
 from omniman_ros.lab.studies.tool_courses import COURSES, POSTURE, start, tool_poses
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -96,8 +96,7 @@ def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
     distance = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.arange(0.0, distance[-1], speed * TICK)
     tool = poses[np.searchsorted(distance, at, side="right") - 1]
-    each = [np.interp(at, distance, column) for column in poses[:, :3, 3].T]
-    tool[:, :3, 3] = np.column_stack(each)
+    tool[:, :3, 3] = columns_at(np.column_stack([distance, poses[:, :3, 3]]), at)
     platform = np.tile(here[:3], (len(at), 1))
     platform[:, :2] += tool[:, :2, 3] - tool[0, :2, 3]
     branch = model.arm.branch_of(here[3:])

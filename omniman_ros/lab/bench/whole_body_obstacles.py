@@ -15,7 +15,6 @@ import numpy as np
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
-from omniman_ros.core.arrays import Array
 from omniman_ros.extras import WORLD
 from omniman_ros.lab.bench.harness import (
     BenchmarkTable,
@@ -35,18 +34,14 @@ from omniman_ros.lab.studies.avoidance_scenes import (
     SceneGenerator,
 )
 from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture, ReactiveDriver
-from omniman_ros.lab.studies.body_loop import BodyDriver, BodyLoop, BodyRecord
+from omniman_ros.lab.studies.body_judge import JudgedBody, judged
+from omniman_ros.lab.studies.body_loop import BodyDriver, BodyLoop
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
-from omniman_ros.simulation.world.distances import ConfigurationDistances
 
 SCENES = 25  #: Number of scenes of each kind
 WHEELS = "rollers"  #: Wheels of the robot in the physics world
 SPAN, SPARE = 2.5, 10.0  #: Longest duration: times the unhindered one, and added to it [s]
-STEP = 0.025  #: Time between two looks at the distances [s]
-REACH = 1.0  #: Largest distance that is measured [m]
-#: Speed of platform [m/s, with half of rad/s] or joints [rad/s] from which on a robot moves
-MOVING = 0.02
 PROMISED, DEMANDING = "scenes that can be done", "crowds, and posts seen late"
 GROUPS = {PROMISED: tuple(KINDS), DEMANDING: (CROWD, LATE)}
 AVOIDS = "the body avoids"
@@ -68,7 +63,8 @@ def drive_scene(robot: str, kind: str, seed: int, method: str) -> dict[str, Any]
     loop = BodyLoop(values, WHEELS, scene, START[3:], seed)
     driver = _drivers(generator, scene)[method]()
     record = loop.run(driver, SPAN * scene.fixed.duration + SPARE)
-    figures = {"kind": kind, "seed": seed, "method": method, **judged(generator, scene, record)}
+    found = figures_of(judged(generator, scene, record), scene.fixed.duration)
+    figures = {"kind": kind, "seed": seed, "method": method, **found}
     if isinstance(driver, AvoidingBody):
         figures["cycle_times"] = [
             sum(pair) for pair in zip(driver.cycle_times, driver.preview_times, strict=True)
@@ -89,57 +85,19 @@ def _drivers(
     }
 
 
-def judged(generator: SceneGenerator, scene: AvoidanceScene, record: BodyRecord) -> dict[str, Any]:
-    """Return the figures of a drive."""
-    arm, platform = np.array(record.arm), np.array(record.platform)
-    arm = arm[arm[:, 0] >= 0.0]
-    odom = np.column_stack(_columns(platform[:, :4], arm[:, 0]))
-    tool = generator.model.forward(np.hstack([odom, arm[:, 1:7]]))[:, :3, 3]
-    off = 1e3 * np.linalg.norm(tool - arm[:, 7:], axis=1)
-    least, moved, stood = _contacts(generator, scene, record, arm, platform)
-    done = record.completed_at
+def figures_of(drive: JudgedBody, unhindered: float) -> dict[str, Any]:
+    """Return the figures of a drive whose path takes a time with nothing around [s]."""
+    done = drive.completed_at
     return {
         "completed": done is not None,
-        "stop": record.stop,
-        "time_ratio": None if done is None else done / scene.fixed.duration,
-        "least_gap_mm": 1e3 * least,
-        "contact": moved,
-        "contact_at_rest": stood,
-        "tool_rms_mm": float(np.sqrt((off**2).mean())),
-        "tool_max_mm": float(off.max()),
+        "stop": drive.stop,
+        "time_ratio": None if done is None else done / unhindered,
+        "least_gap_mm": 1e3 * drive.least_gap,
+        "contact": bool(drive.contacts()),
+        "contact_at_rest": bool(drive.contacts(at_rest=True)),
+        "tool_rms_mm": 1e3 * drive.rms,
+        "tool_max_mm": 1e3 * float(drive.off.max()),
     }
-
-
-def _contacts(
-    generator: SceneGenerator,
-    scene: AvoidanceScene,
-    record: BodyRecord,
-    arm: Array,
-    platform: Array,
-) -> tuple[float, bool, bool]:
-    """Return the least gap [m], and whether something touched a robot that moved, or rested."""
-    distances = ConfigurationDistances(generator.setup.description, scene.things)
-    times = np.arange(0.0, arm[-1, 0], STEP)
-    true = np.column_stack([platform[:, 0], platform[:, 4:]])
-    pose = np.column_stack(_columns(true, times))
-    joints = np.column_stack(_columns(arm[:, :7], times))
-    gaps = np.full(len(times), REACH)
-    for k, now in enumerate(times.tolist() if scene.things else ()):
-        distances.place(pose[k], joints[k], scene.places_at(now))
-        gaps[k] = distances.distances(REACH).min()
-    rates = np.abs(np.gradient(np.hstack([pose, joints]), STEP, axis=0))
-    speed = np.maximum(np.hypot(rates[:, 0], rates[:, 1]) + 0.5 * rates[:, 2], rates[:, 3:].max(1))
-    touches = gaps <= 0.0
-    felt = [at for at, _ in record.contacts if 0.0 <= at < times[-1]]
-    touches[np.searchsorted(times, felt)] = True
-    begins = touches & ~np.concatenate([[False], touches[:-1]])
-    moves = speed > MOVING
-    return float(gaps.min()), bool((begins & moves).any()), bool((begins & ~moves).any())
-
-
-def _columns(rows: Array, times: Array) -> list[Array]:
-    """Return all columns after the time, each (n,) at times (n,), by linear interpolation."""
-    return [np.interp(times, rows[:, 0], column) for column in rows[:, 1:].T]
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

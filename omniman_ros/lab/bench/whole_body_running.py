@@ -28,7 +28,6 @@ from omniman_ros.lab.studies.running_body import (
     start,
 )
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
-from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.processes.robot_setup import WHOLE_BODY_PLANNER, resolve_robot
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 
@@ -87,8 +86,7 @@ class RunningBench:
     def course(self, name: str, length: float) -> AvoidanceScene:
         """Return a path with nothing around."""
         poses = tool_courses.course_poses(self._model, COURSES[name], length)
-        planner = ToolPlanner(self._model, self._setup.limits, self._setup.path)
-        fixed = planner.plan(poses, tool_courses.start()).curve
+        fixed = self.generator.planner.plan(poses, tool_courses.start()).curve
         return AvoidanceScene(poses, fixed, (), np.zeros((0, 2)), np.zeros((0, 2)))
 
     def drive(self, name: str, length: float, driver: str) -> dict[str, Any]:

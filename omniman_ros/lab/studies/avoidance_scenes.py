@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
-from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.parameters import ToolShape
-from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
@@ -26,13 +24,11 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.nodes.path_interpolator.parameters import PathInterpolatorParameters
-from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 
-GROWTH = 0.05  #: growth of the margin around a person [m/s]
 #: All axes at the start [m, rad]
 START: Array = np.array([0.0, 0.0, 0.0, 0.3, -1.2, 1.9, -2.2, -1.57, 0.0])
 LENGTHS, WAVE = (2.0, 3.0), 0.2  #: of the tool's path, and deviation from a straight line [m]
@@ -84,25 +80,6 @@ class AvoidanceScene:
         places: Array = self.places + time * self.velocities
         return places
 
-    def around(self, time: float) -> ObstacleSnapshot:
-        """Return what is around the robot at a time [s]."""
-        places, moves = self.places_at(time), np.any(self.velocities, axis=1)
-        obstacles = [
-            UprightObstacles.cylinder(x, y, thing.semi_axes[0], thing.heights)
-            for thing, (x, y) in zip(self.things, places.tolist(), strict=True)
-        ]
-        standing, walking = (
-            UprightObstacles.join([obstacles[k] for k in np.flatnonzero(chosen)])
-            for chosen in (~moves, moves)
-        )
-        surroundings = MovingObstacles(walking, self.velocities[moves].T)
-        return ObstacleSnapshot(time, standing, surroundings, np.full(int(moves.sum()), GROWTH))
-
-    def gap(self, judge: ConfigurationDistances, axes: Array, time: float) -> float:
-        """Return the distance of the robot at axes (9,) from everything at a time, up to 1 m."""
-        judge.place(axes[:3], axes[3:], self.places_at(time))
-        return float(judge.distances(1.0).min())
-
 
 class SceneGenerator:
     """Makes the scenes of a robot."""
@@ -115,7 +92,7 @@ class SceneGenerator:
         options = build(AvoidanceOptions, {})
         self.setup = BodySetup(description, limits, ToolShape(), None, path.tool_path, options)
         self.model = WholeBodyModel(description.mount)
-        self._planner = ToolPlanner(self.model, limits, path.tool_path)
+        self.planner = ToolPlanner(self.model, limits, path.tool_path)
         self._judges = {
             thing: ConfigurationDistances(description, [thing] * TRIED)
             for thing in (POST, TABLE, PERSON)
@@ -145,7 +122,7 @@ class SceneGenerator:
         """Return a path across which people walk straight on, each at a speed of its own."""
         poses = self._path(rng)
         try:
-            fixed = self._planner.plan(poses, START).curve
+            fixed = self.planner.plan(poses, START).curve
         except InputError:
             return None
         count = int(rng.integers(WALKERS[0], WALKERS[1] + 1))
@@ -169,7 +146,7 @@ class SceneGenerator:
             if witness is None:
                 continue
             try:
-                fixed = self._planner.plan(poses, START).curve
+                fixed = self.planner.plan(poses, START).curve
             except InputError:
                 continue
             placed = [self._placed(thing, poses, witness, fixed, rng) for thing in KINDS[kind]]

@@ -18,6 +18,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
+from omniman_ros.lab.measurement import columns_at
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.parameters import TICK
@@ -266,9 +267,7 @@ class ToolPathLoop:
         times = arm[:, 0]
         moving = (times >= MOTION_START) & (times <= MOTION_START + self._motion.curve.duration)
         times, joints = times[moving], arm[moving, 1:]
-        poses = np.column_stack(
-            [np.interp(times, platform[:, 0], column) for column in platform[:, 1:].T]
-        )
+        poses = columns_at(platform, times)
         reference = self._motion.tool(times - MOTION_START)
         measured = self._model.forward(np.hstack([poses[:, :3], joints]))
         base = poses[:, 3:].reshape(-1, 3, 4)

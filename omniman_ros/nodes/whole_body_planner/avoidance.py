@@ -5,7 +5,12 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import TYPE_CHECKING
 
+import numpy as np
+from trajectory_msgs.msg import JointTrajectory
+
+from omniman_ros.conversions.arm import joint_reference_message
 from omniman_ros.core.arrays import Array
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
@@ -24,6 +29,8 @@ if TYPE_CHECKING:  # needs casadi, which is optional
 
 DELAY_DECAY = 0.9  #: Factor by which the delay of plans that is expected falls from cycle to cycle
 LONGEST_SENT = 2.0  #: Longest time for which a motion is sent ahead [s]
+#: Time between two points of a plan that is shown, and from now to the last one at most [s]
+PLAN_STEP, LONGEST_SHOWN = 0.5, 5.0
 SENT_STEP = 0.2  #: Step of that time: a message with another number of points is made anew [s]
 
 
@@ -118,6 +125,21 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         Who receives them follows the last ones to their end if this node falls silent.
         """
         super().publish(max(horizon, self._sent_for), platform=platform)
+
+    def plan_message(self) -> JointTrajectory:
+        """Return the plan that is followed, from now on, as a trajectory of all axes."""
+        p, now = self._motions.options, self._motions.time_base.now()
+        left = min(max(self.core.task.controller.motion.end - now, 0.0), LONGEST_SHOWN)
+        times = PLAN_STEP * np.arange(math.ceil(left / PLAN_STEP) + 1, dtype=float)
+        names = (*PLATFORM_AXES, *p.arm.joints)
+        message = joint_reference_message(names, len(times), PLAN_STEP)
+        message.header.frame_id, message.header.stamp = (
+            p.frames.odom.odom_frame,
+            self._node.stamp(),
+        )
+        for point, axes in zip(message.points, self.core.task.axes(now + times), strict=True):
+            point.positions = axes.tolist()
+        return message
 
     def remaining_length(self) -> float:
         """Return the length of the rest of the tool's path [m]."""

@@ -1,6 +1,7 @@
 """Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.extras import PLANNING
 from omniman_ros.motion.path.interpolator import RefusedError
@@ -20,6 +21,7 @@ from omniman_ros.nodes.whole_body_planner.tool_tasks import (
 )
 from omniman_ros.planning.whole_body.obstruction import status_values
 
+SHOW_PERIOD = 0.2  #: Period of `body/plan` [s]
 SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
@@ -93,12 +95,19 @@ class WholeBodyPlannerNode(OmnimanNode):
             *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, paths),
         )
         self._status_publisher = self.create_publisher(DiagnosticStatus, "body/status", 10)
+        self._plan_publisher = self.create_publisher(JointTrajectory, "body/plan", 1)
         self.every(PERIOD, self._tick)
+        self.every(SHOW_PERIOD, self._publish_plan)
 
     def _tick(self) -> None:
         self.motions.tick()
         if self._status_publisher.get_subscription_count():
             self._status_publisher.publish(self.status_message(*self.status()))
+
+    def _publish_plan(self) -> None:
+        body = self.motions.whole_body
+        if not body.idle and self._plan_publisher.get_subscription_count():
+            self._plan_publisher.publish(body.plan_message())
 
     def begin_shutdown(self, reason: str) -> None:
         """Bring the robot to rest on its path, and accept nothing new."""

@@ -51,13 +51,6 @@ _TASK_ICONS = {
     "cancel": viser.Icon.X,
     "restart": viser.Icon.PLAYER_SKIP_BACK,
 }
-_LAYER_LABELS = {
-    "scan": "scan",
-    "map": "map",
-    "tracks": "tracked obstacles",
-    "contacts": "contacts",
-    "shapes": "shapes for distances",
-}
 
 
 class Controls:
@@ -100,10 +93,7 @@ class Controls:
         self._parameters = ParameterPanel(gui, tabs.add_tab("Planner"), post)
         with tabs.add_tab("View"):
             self._follow = gui.add_checkbox("follow robot", True)
-            self._layers = {
-                name: gui.add_checkbox(_LAYER_LABELS[name], is_on)
-                for name, is_on in LAYERS.items()
-            }
+            self._layers = {name: gui.add_checkbox(name, on) for name, on in LAYERS.items()}
             self._action_button("clear", "gray", viser.Icon.ERASER, "Clear trails")
             self._action_button("tour", "gray", viser.Icon.MAP_2, "Tour: end, or begin anew")
         gui.add_html(_style([stop, reset], motions, list(chords.values())))

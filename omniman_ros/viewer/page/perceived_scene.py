@@ -1,17 +1,23 @@
-"""What the robot perceives: map, scan, tracked obstacles, contacts, and shapes for distances."""
+"""What the robot perceives: map, scan, tracked obstacles, contacts, shapes, and its plan."""
 
 import numpy as np
 import viser
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.viewer import style
-from omniman_ros.viewer.body_view import BodyView
+from omniman_ros.viewer.body_view import BodyView, Nearest, PlanView
 from omniman_ros.viewer.floor_shapes import disc
 from omniman_ros.viewer.map_image import MapImage
 from omniman_ros.viewer.meshes import rotation, sphere
 from omniman_ros.viewer.page.draggable_markers import OPAQUE, MeshBatch
 from omniman_ros.viewer.page.floor_scene import SceneLine
-from omniman_ros.viewer.perceived import Contact, Perceived, uncertainty_circles, velocity_arrows
+from omniman_ros.viewer.perceived import (
+    Contact,
+    Perceived,
+    Tracks,
+    uncertainty_circles,
+    velocity_arrows,
+)
 
 MAP_HEIGHT = 0.002  #: Height of the map above the floor, below all lines [m]
 TRACK_HEIGHT = 0.05  #: Height of the arrows of tracked obstacles [m]
@@ -26,28 +32,38 @@ class PerceivedScene:
     def __init__(self, api: viser.SceneApi, root: str) -> None:
         self._map = _Map(api, f"{root}/map")
         self._scan = _Points(api, f"{root}/scan")
-        self._tracks_version = 0
+        self._tracks: Tracks | None = None
         self._arrows = SceneLine(api, f"{root}/track_arrows", style.TRACK, 4.0, 1)
         self._circles = SceneLine(api, f"{root}/track_circles", style.TRACK, 1.5, 1)
         self._contacts = MeshBatch(api, f"{root}/contacts", sphere(), style.CONTACT, OPAQUE)
         self._body = _Body(api, f"{root}/shapes")
+        self._plan: PlanView | None = None
+        self._ghosts = SceneLine(api, f"{root}/plan_ghosts", style.PLAN, 2.0, 1)
+        self._avoided = SceneLine(api, f"{root}/plan_nearest", style.NEAREST, 4.0, 1)
 
     def draw(self, perceived: Perceived, layers: frozenset[str]) -> None:
         """Draw the layers with these names, see `perceived.LAYERS`, and hide the others."""
         self._map.draw(perceived.map if "map" in layers else None)
         self._scan.draw(perceived.scan.points, perceived.scan.version, shown="scan" in layers)
-        self._draw_tracks(perceived, shown="tracks" in layers)
+        self._draw_tracks(perceived.tracks if "tracked obstacles" in layers else None)
         contacts = perceived.contacts.values() if "contacts" in layers else ()
         self._draw_contacts(list(contacts))
-        self._body.draw(perceived.body if "shapes" in layers else None)
+        self._body.draw(perceived.body if "shapes for distances" in layers else None)
+        self._draw_plan(perceived.plan if "plan of the body" in layers else None)
 
-    def _draw_tracks(self, perceived: Perceived, *, shown: bool) -> None:
-        version = perceived.tracks_version if shown else -1
-        if version == self._tracks_version:
+    def _draw_plan(self, plan: PlanView | None) -> None:
+        if plan is self._plan:
             return
-        self._tracks_version = version
+        self._plan = plan
+        self._ghosts.draw(np.zeros((0, 2, 3)) if plan is None else plan.ghosts)
+        self._avoided.draw(_to_nearest(None if plan is None else plan.nearest))
+
+    def _draw_tracks(self, tracks: Tracks | None) -> None:
+        if tracks is self._tracks:
+            return
+        self._tracks = tracks
         for line, make in ((self._arrows, velocity_arrows), (self._circles, uncertainty_circles)):
-            flat = make(perceived.tracks) if shown else np.zeros((0, 2, 2))
+            flat = np.zeros((0, 2, 2)) if tracks is None else make(tracks)
             heights = np.full((*flat.shape[:2], 1), TRACK_HEIGHT)
             line.draw(np.concatenate((flat, heights), axis=2))
 
@@ -145,8 +161,12 @@ class _Body:
         edges = np.stack((corners, np.roll(corners, -1, axis=1)), axis=2).reshape(-1, 2, 2)
         heights = np.full((len(edges), 2, 1), TRACK_HEIGHT)
         self._footprint.draw(np.concatenate((edges, heights), axis=2))
-        nearest = np.zeros((0, 2, 3)) if body.nearest is None else body.nearest.line[None]
-        self._nearest.draw(nearest)
+        self._nearest.draw(_to_nearest(body.nearest))
+
+
+def _to_nearest(nearest: Nearest | None) -> Array:
+    """Return the line (s, 2, 3) to what is nearest, if anything is [m]."""
+    return np.zeros((0, 2, 3)) if nearest is None else nearest.line[None]
 
 
 def _upright(count: int) -> Array:

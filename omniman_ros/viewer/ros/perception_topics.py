@@ -8,7 +8,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import JointState, LaserScan, PointCloud2
 from std_msgs.msg import Float64, Header
+from trajectory_msgs.msg import JointTrajectory
 
+from omniman_ros.conversions.arm import joint_points
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.maps import map_from_message
 from omniman_ros.conversions.motion_limits import motion_limit_fractions
@@ -20,6 +22,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import TransformError
+from omniman_ros.motion.axes import PLATFORM_AXES, PLATFORM_COLUMNS
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.obstacle_tracker_parameters import LASER, ScannerInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -35,6 +38,7 @@ from omniman_ros.viewer.view_state import ViewState
 
 MAX_POINTS = 1500  #: Largest number of points drawn of a scan; more are thinned evenly
 MAX_TRACKS = 100  #: Largest number of tracked obstacles drawn
+MAX_GHOSTS = 20  #: Largest number of instants of a plan
 MAX_CONTACTS = 50  #: Largest number of contacts drawn
 
 
@@ -66,25 +70,46 @@ class PerceptionTopics:
         watch(DiagnosticArray, "contacts", self._on_contacts, 10)
         watch(JointState, "motion_limit", self._on_limit)
         watch(Float64, "tip_over_margin", self._on_margin)
+        watch(JointTrajectory, "body/plan", self._on_plan)
 
     def update_state(self, layers: frozenset[str]) -> None:
         """Update what depends on the newest transforms or values, for the drawn layers."""
         self._place_map()
-        self._state.perceived.body = self._body() if "shapes" in layers else None
+        self._state.perceived.body = self._body() if "shapes for distances" in layers else None
 
     def _body(self) -> BodyView | None:
         """Return the robot's shapes and what is nearest to them; None if its pose is unknown."""
         state = self._state
         if state.odom is None:
             return None
-        pose, has_arm = np.array(state.odom), state.arm is not None
+        pose = np.array(state.odom)
         obstacles = obstacles_around(
             pose, state.other_obstacles, state.obstacles, state.perceived.scan.points
         )
+        joints = np.zeros(JOINTS) if state.arm is None else state.arm
+        return self._body_shapes(state.arm is not None).view(pose, joints, obstacles)
+
+    def _body_shapes(self, has_arm: bool) -> BodyShapes:
         if has_arm not in self._shapes:
             self._shapes[has_arm] = self._parameters.shapes(with_arm=has_arm)
-        joints = np.zeros(JOINTS) if state.arm is None else state.arm
-        return self._shapes[has_arm].view(pose, joints, obstacles)
+        return self._shapes[has_arm]
+
+    def _on_plan(self, message: JointTrajectory) -> None:
+        """Take the plan of the whole body, past obstacles that go on as they move now."""
+        check_frame(message.header.frame_id, *self._parameters.frames)
+        names = (*PLATFORM_AXES, *self._parameters.arm.joints)
+        points = joint_points(message, names, MAX_GHOSTS)
+        if len(points.columns) < len(names):
+            raise InputError(f"it has {len(points.columns)} axes, expected {len(names)}")
+        plan = points.positions[:, np.argsort(points.columns)]
+        times = np.zeros(len(plan)) if points.times is None else points.times
+        state, nothing = self._state, np.zeros((0, 3))
+        around = [
+            obstacles_around(pose, state.other_obstacles, state.obstacles, nothing, time)
+            for pose, time in zip(plan[:, PLATFORM_COLUMNS], times.tolist(), strict=True)
+        ]
+        view = self._body_shapes(True).plan_view(plan, around)
+        self._state.perceived.update_plan(view, self._node.now())
 
     def _place_map(self) -> None:
         if self._map is None:

@@ -22,7 +22,7 @@ from omniman_ros.viewer.lines import outlines, thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.robot_topics import path_points
-from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, ViewState
+from omniman_ros.viewer.view_state import ViewState
 
 MAX_OBSTACLES = 100  #: Largest number of obstacles drawn; more are thinned evenly
 MAX_PREDICTED = 200  #: Largest number of predicted obstacles drawn; more are thinned evenly
@@ -46,22 +46,16 @@ class PlannerTopics:
         self._odom_names, self._frames = odom_names, frames
         self._is_own = is_own
         self._obstacles = FramedObstacles(build(ObstacleParameters, {}))
-        self._route_received_at = -np.inf
         on_obstacles = frames.transforms.deferred("obstacles", marker_headers, self._on_obstacles)
         subscriptions.subscribe(MarkerArray, "obstacles", on_obstacles, 50)
         subscriptions.subscribe(DiagnosticStatus, "mpc/status", self._on_status)
         # The planner computes these for its subscribers only.
-        subscriptions.subscribe_while_watched(Path, "mpc/plan", self._on_plan)
-        subscriptions.subscribe_while_watched(Path, "mpc/route", self._on_route)
+        for name in ("plan", "route"):
+            on_line = partial(self._on_line, name)
+            subscriptions.subscribe_while_watched(Path, f"mpc/{name}", on_line)
         subscriptions.subscribe_while_watched(
             MarkerArray, "mpc/predicted_obstacles", self._on_predicted
         )
-
-    def sample(self, now: float) -> None:
-        """Discard a route that the planner no longer repeats."""
-        route = self._state.route
-        if len(route.points) and now - self._route_received_at >= FRESHNESS_TIMEOUT:
-            route.set(np.empty((0, 2)))
 
     def update_state(self, now: float) -> None:
         """Write other sources' obstacles into the state, extrapolated at constant velocity."""
@@ -84,12 +78,9 @@ class PlannerTopics:
         )
         return faults[0] if faults else ""
 
-    def _on_plan(self, message: Path) -> None:
-        self._state.update_plan(path_points(message, self._odom_names)[:, :2], self._node.now())
-
-    def _on_route(self, message: Path) -> None:
-        self._state.route.set(path_points(message, self._odom_names)[:, :2])
-        self._route_received_at = self._node.now()
+    def _on_line(self, name: str, message: Path) -> None:
+        points = path_points(message, self._odom_names)[:, :2]
+        self._state.update_line(name, points, self._node.now())
 
     def _on_predicted(self, message: MarkerArray) -> str:
         changes, faults = marker_changes(message, within(*self._odom_names), lambda stamp: 0.0)
@@ -100,7 +91,7 @@ class PlannerTopics:
             np.array([obstacle.semi_axes for obstacle in drawn]).reshape(-1, 2),
             np.array([obstacle.angle for obstacle in drawn], dtype=float),
         )
-        self._state.update_predicted(points, self._node.now())
+        self._state.update_line("predicted", points, self._node.now())
         return faults[0] if faults else ""
 
     def _on_status(self, message: DiagnosticStatus) -> None:

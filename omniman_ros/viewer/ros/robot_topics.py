@@ -176,7 +176,7 @@ class RobotTopics:
             for i in thinned(len(points))
             for transform in points[i].transforms[:1]
         ]
-        self._state.update_reference(_positions(positions)[:, :2], self._node.now())
+        self._state.update_line("reference", _positions(positions)[:, :2], self._node.now())
 
     def _on_progress(self, message: Float64) -> None:
         if not 0.0 <= message.data <= 1.0:

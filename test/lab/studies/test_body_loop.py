@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from omniman_ros.lab.bench.whole_body_obstacles import judged
+from omniman_ros.lab.bench.whole_body_obstacles import figures_of
 from omniman_ros.lab.studies.avoidance_scenes import POST, START, AvoidanceScene, SceneGenerator
 from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture
+from omniman_ros.lab.studies.body_judge import judged
 from omniman_ros.lab.studies.body_loop import BodyLoop
-from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
 
@@ -18,15 +18,14 @@ def scene_with_post(x, y):
     """The tool moves 0.6 m ahead; a post stands at a position."""
     poses = GENERATOR.model.forward(START)[None].repeat(12, axis=0)
     poses[:, 0, 3] += np.linspace(0.05, 0.6, 12)
-    planner = ToolPlanner(GENERATOR.model, GENERATOR.setup.limits, GENERATOR.setup.path)
-    fixed = planner.plan(poses, START).curve
+    fixed = GENERATOR.planner.plan(poses, START).curve
     return AvoidanceScene(poses, fixed, (POST,), np.array([[x, y]]), np.zeros((1, 2)))
 
 
 def driven(scene, driver):
     robot = dict(robot_parameters(resolve_robot("omniman")))
     record = BodyLoop(robot, "ideal", scene, START[3:], 1).run(driver, 12.0)
-    return judged(GENERATOR, scene, record)
+    return figures_of(judged(GENERATOR, scene, record), scene.fixed.duration)
 
 
 def test_the_body_evades_a_post_that_the_fixed_posture_touches():

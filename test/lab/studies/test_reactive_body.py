@@ -35,6 +35,18 @@ def drive(body, around):
     return PERIOD * np.arange(len(axes)), np.array(axes), np.array(rates)
 
 
+def things_of(scene, now):
+    """Return what is in a scene at a time, whose obstacles either all stand or all walk."""
+    centres = zip(scene.places_at(now).tolist(), scene.things, strict=True)
+    there = UprightObstacles.join(
+        [UprightObstacles.cylinder(*xy, each.semi_axes[0], each.heights) for xy, each in centres]
+    )
+    if not scene.velocities.any():
+        return ObstacleSnapshot(now, there)
+    growth = np.full(len(scene.things), 0.05)
+    return ObstacleSnapshot(now, moving=MovingObstacles(there, scene.velocities.T), growth=growth)
+
+
 def assert_limits_are_kept(limits, axes, rates):
     assert (np.abs(rates) <= limits.velocity + 1e-4).all()
     assert (np.hypot(*rates[:, :2].T) <= limits.velocity[0] + 1e-4).all()
@@ -69,11 +81,12 @@ def test_what_is_in_the_way_of_the_fixed_posture_is_not_touched(generator, kind)
     scene = generator.scene(kind, 0)
     assert scene is not None
     body = ReactiveBody(generator.setup, scene.poses, START)
-    times, axes, rates = drive(body, scene.around)
+    times, axes, rates = drive(body, lambda now: things_of(scene, now))
     assert body.is_completed
     judge = ConfigurationDistances(generator.setup.description, scene.things)
-    pairs = zip(axes, times.tolist(), strict=True)
-    assert min(scene.gap(judge, q, now) for q, now in pairs) > 0.05
+    for q, now in zip(axes, times.tolist(), strict=True):
+        judge.place(q[:3], q[3:], scene.places_at(now))
+        assert judge.distances(1.0).min() > 0.05
     assert_limits_are_kept(generator.setup.limits, axes, rates)
     off = body.model.forward(axes[-1])[:3, 3] - scene.poses[-1, :3, 3]
     assert np.linalg.norm(off) < 0.005

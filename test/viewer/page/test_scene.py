@@ -15,7 +15,7 @@ from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer import style
-from omniman_ros.viewer.body_view import BodyView
+from omniman_ros.viewer.body_view import BodyView, Nearest, PlanView
 from omniman_ros.viewer.events import (
     GoalDragged,
     ObstacleDragged,
@@ -516,8 +516,8 @@ def names(stage):
 
 
 def test_plan_and_reference_are_drawn_with_every_frame(stage):
-    stage.state.update_plan(np.array([[0.0, 0.0], [1.0, 0.5]]), 1.0)
-    stage.state.update_reference(np.array([[0.0, 0.0], [0.5, 0.0]]), 1.0)
+    stage.state.update_line("plan", np.array([[0.0, 0.0], [1.0, 0.5]]), 1.0)
+    stage.state.update_line("reference", np.array([[0.0, 0.0], [0.5, 0.0]]), 1.0)
     stage.scene.draw(stage.state, False)
     for name in ("plan", "reference"):
         handle = stage.server.scene.get_handle_by_name(f"/world/{name}")
@@ -596,15 +596,18 @@ def perceiving(stage):
     perceived.contacts["a"] = Contact("a touches b", np.array([1.0, 2.0, 0.1]), 5.0, 1.0)
     start, end = np.array([[0.0, 0.0, 1.0]] * 2), np.array([[0.0, 0.0, 0.2], [0.8, 0.0, 1.0]])
     perceived.body = BodyView(start, end, np.array([0.1, 0.2]), np.zeros((1, 4, 2)), None)
+    nearest = Nearest("platform", 0.5, np.array([[0.5, 0.0, 0.3], [1.0, 0.0, 0.3]]))
+    perceived.update_plan(PlanView(np.array([[[0.0, 0.0, 0.3], [2.0, 1.0, 0.3]]]), nearest), 1.0)
     return stage
 
 
 PARTS = {
     "map": ("map",),
     "scan": ("scan",),
-    "tracks": ("track_arrows", "track_circles"),
+    "tracked obstacles": ("track_arrows", "track_circles"),
     "contacts": ("contacts",),
-    "shapes": ("shapes/tubes", "shapes/balls", "shapes/footprint"),
+    "plan of the body": ("plan_ghosts", "plan_nearest"),
+    "shapes for distances": ("shapes/tubes", "shapes/balls", "shapes/footprint"),
 }
 
 
@@ -629,6 +632,8 @@ def test_what_is_perceived_is_drawn_in_its_place_and_sent_once(perceiving, monke
     w, x, y, z = tubes.batched_wxyzs[1]
     along = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
     assert along == pytest.approx((1.0, 0.0, 0.0), abs=1e-6), "its axis z points along the capsule"
+    assert stage["plan_ghosts"].points == pytest.approx(stage.state.perceived.plan.ghosts)
+    assert stage["plan_nearest"].points[0, 1] == pytest.approx([1.0, 0.0, 0.3])
     sent = []
     monkeypatch.setattr(stage.server.scene, "_queue_scene_message", sent.append)
     stage.scene.draw_perceived(stage.state, frozenset(LAYERS))

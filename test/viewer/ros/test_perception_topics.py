@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,11 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import JointState, LaserScan, PointCloud2
 from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory
 
+from omniman_ros.conversions.arm import joint_reference_message
 from omniman_ros.conversions.maps import map_message
 from omniman_ros.conversions.motion_limits import motion_limit_message
 from omniman_ros.conversions.tracks import track_cloud
 from omniman_ros.conversions.world import contacts_message
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.perception.track import TrackedObstacle
 from test.nodes.transforms import Transforms, tf_installed
@@ -164,6 +168,14 @@ def torn_contact():
     return message
 
 
+def plan_message(names, *points):
+    message = joint_reference_message(names, len(points), 0.5)
+    message.header.frame_id = "odom"
+    for point, axes in zip(message.points, points, strict=True):
+        point.positions = axes
+    return message
+
+
 @pytest.mark.parametrize(
     ("kind", "topic", "message"),
     [
@@ -174,24 +186,25 @@ def torn_contact():
         (DiagnosticArray, "contacts", torn_contact()),
         (JointState, "motion_limit", JointState(name=["platform", "arm"], velocity=[2.0, 0.0])),
         (Float64, "tip_over_margin", Float64(data=math.inf)),
+        (JointTrajectory, "body/plan", plan_message(PLATFORM_AXES, [5.0, 0.0, 0.0])),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_what_cannot_be_used_is_refused_with_a_warning(world, kind, topic, message):
-    shown = (seen(world).map, seen(world).scan.version, seen(world).tracks_version)
+    shown = (seen(world).map, seen(world).scan.version, seen(world).tracks)
     world.publisher(kind, topic, LATCHED).publish(message)
     counts = world.nodes[-1]._throttle.counts
     counts.clear()
     until(world, lambda: topic in counts, "the warning")
     world.run(0.05)
-    assert seen(world).map is shown[0] and not seen(world).contacts
+    assert seen(world).map is shown[0] and not seen(world).contacts and not seen(world).plan
     assert not len(seen(world).scan.points) or seen(world).scan.version == shown[1]
-    assert not len(seen(world).tracks) or seen(world).tracks_version == shown[2]
+    assert not len(seen(world).tracks) or seen(world).tracks is shown[2]
 
 
 def test_the_robots_shapes_are_computed_only_while_they_are_shown(world):
     assert seen(world).body is None
-    world.nodes[-1].page.layers = frozenset({"shapes"})
+    world.nodes[-1].page.layers = frozenset({"shapes for distances"})
     world.run(0.1)
     body = seen(world).body
     assert len(body.radius) == 0, "the arm has not reported its joints"
@@ -202,3 +215,25 @@ def test_the_robots_shapes_are_computed_only_while_they_are_shown(world):
     world.nodes[-1].page.layers = frozenset()
     world.run(0.1)
     assert seen(world).body is None
+
+
+def test_the_plan_of_the_whole_body_is_shown_with_what_it_avoids_until_it_falls_silent(world):
+    viewer = world.nodes[-1]
+    viewer.state.obstacles = replace(
+        viewer.state.obstacles,
+        numbers=np.array([1]),
+        centers=np.array([[9.0, 0.0]]),
+        semi_axes=np.full((1, 2), 0.25),
+        angles=np.zeros(1),
+        velocities=np.array([[-4.0, 0.0]]),
+    )
+    names = [*viewer.settings.value.arm.joints, *PLATFORM_AXES]
+    axes = [0.3, -1.2, 1.9, -2.2, -1.57, 0.0, 5.0, 0.0, 0.0]
+    plans = world.publisher(JointTrajectory, "body/plan")
+    plans.publish(plan_message(names, axes, [*axes[:6], 5.0, 1.0, 0.0]))
+    until(world, lambda: seen(world).plan is not None, "the plan")
+    plan = seen(world).plan
+    assert plan.ghosts[:4, :, 0].mean() == pytest.approx(5.0)
+    assert plan.ghosts[10:14, :, 1].mean() == pytest.approx(1.0)
+    assert plan.nearest.line[1, :2] == pytest.approx([7.0, 0.0]), "0.5 s later"
+    until(world, lambda: seen(world).plan is None, "its end")

@@ -16,7 +16,7 @@ from omniman_ros.conversions.wheels import electrical_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.viewer.node import ViewerNode
-from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT
+from omniman_ros.viewer.perceived import FRESHNESS_TIMEOUT
 from test.nodes.harness import World
 from test.nodes.rig import reference
 from test.viewer.ros.fake_page import FakePage, view
