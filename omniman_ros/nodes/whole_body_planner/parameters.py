@@ -29,6 +29,11 @@ class WholeBodyPlannerParameters(StreamParameters):
     path_action: str = parameter(
         "~/follow_tool_path", "Name of the action that takes paths of the tool.", read_only=True
     )
+    joint_action: str = parameter(
+        "~/move_body",
+        "Name of the action that takes goals of platform and joints.",
+        read_only=True,
+    )
 
     @property
     def led_tool(self) -> ToolPathOptions:

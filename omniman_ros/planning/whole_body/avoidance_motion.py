@@ -218,8 +218,7 @@ class AvoidanceMotion:
 
     def tool(self, times: Array) -> Array:
         """Return planned poses (m, 4, 4) of `tool0` in odom at motion times (m,) [s]."""
-        places = self.sent.at(times)[0][:, PATH_PARAMETER]
-        return self.task.redundancy.path.pose(places)
+        return self.task.redundancy.tool(self.sent.at(times)[0])
 
     def demand(self, times: Array) -> LimitUsage | None:
         """Return the use of the limits at increasing motion times (k,) [s]; None if idle."""

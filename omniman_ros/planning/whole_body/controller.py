@@ -19,7 +19,7 @@ from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.plan_check import CycleCheck, PlanCheck, PlanVerdict
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
-from omniman_ros.planning.whole_body.redundancy import COORDINATES, PATH_PARAMETER, ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import COORDINATES, PATH_PARAMETER, BodyRedundancy
 
 PERIOD = 0.05  #: Time from cycle to cycle [s]; a plan begins one period after its cycle
 #: Number of brakings of a motion that are checked in search of its longest clear part: a check of
@@ -56,7 +56,7 @@ class WholeBodyController:
 
     def __init__(
         self,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         gaps: BodyGaps,
         limits: WholeBodyLimits,
         linearisation: Linearisation,
@@ -228,10 +228,8 @@ class WholeBodyController:
     def _near(self, now: float, around: ObstacleSnapshot) -> ObstacleSnapshot:
         """Return what is around the robot, without standing obstacles that are far away."""
         places, _ = self.motion.sample(now)
-        offset = around.standing.centre - places[:2, None]
-        extent = np.hypot(*around.standing.half) + around.standing.rounding
         reach = OBSTACLE_CUTOFF + self._gaps.radius
-        index = np.flatnonzero(np.hypot(*offset) - extent < reach)
+        index = around.standing_near(places[:2], reach)
         moving = around.moving.obstacles.centre + (now - around.time) * around.moving.velocity
         closing = np.hypot(*around.moving.velocity) * self._horizon
         is_near = np.hypot(*(moving - places[:2, None])) - closing < reach + 1.0

@@ -1,10 +1,12 @@
 """Gauss-Newton steps of plans in the redundancy: costs and rows at a guess, and the step."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.validated import Validated
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
@@ -24,8 +26,9 @@ from omniman_ros.planning.whole_body.program import (
 from omniman_ros.planning.whole_body.redundancy import (
     COORDINATES,
     PATH_PARAMETER,
+    BodyRedundancy,
     Configurations,
-    ToolRedundancy,
+    SingularityMargins,
 )
 
 #: Largest changes of the redundancy coordinates in one step [m, m, rad, m]
@@ -56,27 +59,36 @@ DIAGONAL = np.sqrt(0.5)  #: Fraction of the limit of a vector that each of its c
 REST_BAND = 1e-6
 
 
+@dataclass(frozen=True)
+class PathLimits(Validated):
+    """Limits of the motion along a path."""
+
+    speed: float  #: Largest rate of the path parameter [m/s]
+    acceleration: float  #: Its largest acceleration [m/s^2]
+    reserve: float  #: Fraction of the axes' limits that is left free
+
+
 class Linearisation:
     """Improves plans.
 
-    Limits of the tool are its largest speed [m/s] and acceleration [m/s^2] on its path, least
-    margin to singularities, and fraction of the axes' limits that is left free.
+    Args:
+        margins: The arm's margins to singularities; None: it may pass through them.
     """
 
     def __init__(
         self,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         gaps: BodyGaps,
         balance: BodyBalance,
-        resolver: RedundancyResolver,
+        margins: SingularityMargins | None,
         limits: WholeBodyLimits,
-        tool: tuple[float, float, float, float],
+        along: PathLimits,
         options: AvoidanceOptions,
     ) -> None:
-        self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
+        self._redundancy, self._gaps, self._margins = redundancy, gaps, margins
         self._balance, self._options = balance, options
-        self._speed, acceleration, self._least_margin, reserve = tool
-        free = 1.0 - reserve
+        self._speed = along.speed
+        free = 1.0 - along.reserve
         self._joint_speed: Array = free * options.joint_effort * limits.velocity[3:]
         self._joint_acceleration: Array = free * options.joint_effort * limits.acceleration[3:]
         self._wheels: Array = limits.wheels / (free * limits.wheel_speed)
@@ -89,13 +101,14 @@ class Linearisation:
                 DIAGONAL * limits.acceleration[0],
                 DIAGONAL * limits.acceleration[0],
                 limits.acceleration[2],
-                acceleration,
+                along.acceleration,
             ]
         )
-        self._signs = resolver.signs(redundancy.centre)
-        self._corners = CornerSpeeds(redundancy.path, (1.0 - reserve) * acceleration)
-        count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels) + 3
-        count += balance.edge_count
+        self._corners = CornerSpeeds(
+            redundancy.path.end, redundancy.bends, free * along.acceleration
+        )
+        count = options.gaps + 3 * len(self._lower) + len(self._wheels) + 3
+        count += balance.edge_count + (0 if margins is None else 3)
         self._program = ReducedProgram(
             options.steps, options.step, count, SLACK_LINEAR, SLACK_QUADRATIC
         )
@@ -154,7 +167,7 @@ class Linearisation:
         by_z[:, 3, PATH_PARAMETER] = 1.0
         off = np.column_stack([z[1:, :3] - pose, z[1:, PATH_PARAMETER] - wanted])
         weights = np.empty((n, 1, 4))
-        weights[..., :3] = PATH_WEIGHTS
+        weights[..., :3] = self._redundancy.pull * PATH_WEIGHTS
         # Below NEAR the cost is about the distance, not its square: the robot does not creep.
         near = NEAR / np.clip(np.abs(off[:, 3]), LEAST_DISTANCE, NEAR)
         weights[:, 0, 3] = PROGRESS_WEIGHT * near
@@ -208,14 +221,6 @@ class Linearisation:
         Of a limit with two sides, the one counts that is nearer at the guess.
         """
         n, zeros = len(rates), np.zeros_like(at.rates)
-        margins, by_arm = self._resolver.margins(at.arm, self._signs)
-        by_z = by_arm @ at.rates
-        singular = StageRows.unchecked(
-            value=margins - ONSET * self._least_margin,
-            by_x=np.concatenate([by_z, np.zeros_like(by_z)], axis=2),
-            by_u=np.zeros_like(by_z),
-            slack=np.full(margins.shape, LIMITS),
-        )
         middle, half = 0.5 * (self._upper + self._lower), 0.5 * (self._upper - self._lower)
         limits = np.full((n, len(middle)), LIMITS)
         off = at.arm - middle
@@ -243,12 +248,23 @@ class Linearisation:
             by_u=sign * at.rates,
             slack=limits,
         )
-        return StageRows.join([singular, angles, speeds, accelerations])
+        rows = [angles, speeds, accelerations]
+        if self._margins is not None:
+            margins, by_arm = self._margins.at(at.arm)
+            by_z = by_arm @ at.rates
+            singular = StageRows.unchecked(
+                value=margins - ONSET * self._margins.least,
+                by_x=np.concatenate([by_z, np.zeros_like(by_z)], axis=2),
+                by_u=np.zeros_like(by_z),
+                slack=np.full(margins.shape, LIMITS),
+            )
+            rows.append(singular)
+        return StageRows.join(rows)
 
     def _path_rows(self, places: Array, speeds: Array) -> StageRows:
-        """Return the rows of the tool's speeds (N,) in bends, and of the end of its path.
+        """Return the rows of the speeds (N,) in bends of the path, and of its end.
 
-        The tool is at places (N + 1,). A bend between two nodes counts for both.
+        The body is at places (N + 1,). A bend between two nodes counts for both.
         """
         n, speed, distance = len(speeds), self._speed, self._speed * self._options.step
         ahead = np.append(places[2:], places[-1])

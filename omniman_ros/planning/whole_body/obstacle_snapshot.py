@@ -115,6 +115,12 @@ class ObstacleSnapshot(Validated):
             pace=pace,
         )
 
+    def standing_near(self, place: Array, reach: float) -> Indices:
+        """Return the numbers of those that stand within a reach [m] of a place (2,), or more."""
+        offset = self.standing.centre - place[:, None]
+        extent = np.hypot(*self.standing.half) + self.standing.rounding
+        return np.flatnonzero(np.hypot(*offset) - extent < reach)
+
     def selected(self, standing: Indices, moving: Indices) -> "ObstacleSnapshot":
         """Return some of the obstacles by their numbers among those that stand and that move."""
         labels, still = self.labels(), len(self.standing)

@@ -10,14 +10,17 @@ from numpy.typing import NDArray
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
-from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import (
+    PATH_PARAMETER,
+    BodyRedundancy,
+    SingularityMargins,
+)
 
 SAMPLE_STEP = 0.04  #: Time between two samples of a motion [s]
 #: Part of the least gaps that a robot may consume which is about as close as allowed [m]. It does
@@ -59,23 +62,25 @@ class PlanVerdict:
 
 
 class PlanCheck:
-    """Checks motions in the redundancy on a fine grid in time."""
+    """Checks motions in the redundancy on a fine grid in time.
+
+    Args:
+        margins: The arm's margins to singularities; None: it may pass through them.
+    """
 
     def __init__(
         self,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         gaps: BodyGaps,
         balance: BodyBalance,
-        resolver: RedundancyResolver,
+        margins: SingularityMargins | None,
         limits: WholeBodyLimits,
-        least_margin: float,
         options: AvoidanceOptions,
     ) -> None:
-        self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
+        self._redundancy, self._gaps, self._margins = redundancy, gaps, margins
         self._balance = balance
         self._limits, self._options = limits, options
-        self._least_margin = least_margin
-        self._signs = resolver.signs(redundancy.centre)
+        self.radius = gaps.radius  #: Distance of the platform's farthest point from its centre [m]
 
     def judge(
         self,
@@ -189,7 +194,6 @@ class PlanCheck:
             k = int(is_reached.argmin())
             return Obstruction(Cause.REACH, float(z[k, PATH_PARAMETER])), k
         limits, arm, span = self._limits, q[:, 3:], times[1] - times[0]
-        margins, _ = self._resolver.margins(arm, self._signs)
         speeds = np.diff(arm, axis=0) / span
         accelerations = np.abs(np.diff(speeds, axis=0)) / span
         c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
@@ -198,11 +202,12 @@ class PlanCheck:
         faults = {
             Cause.JOINT_LIMIT: (arm < limits.lower[3:]) | (arm > limits.upper[3:]),
             Cause.REVOLUTION: span * np.abs(speeds) > math.pi,
-            Cause.SINGULARITY: margins < self._least_margin,
             Cause.JOINT_SPEED: np.abs(speeds) > EXCESS * limits.velocity[3:],
             Cause.JOINT_ACCELERATION: accelerations > EXCESS * limits.acceleration[3:],
             Cause.WHEEL_SPEED: np.abs(wheels) > EXCESS * limits.wheel_speed,
         }
+        if self._margins is not None:
+            faults[Cause.SINGULARITY] = self._margins.at(arm)[0] < self._margins.least
         for cause, broken in faults.items():
             if broken.any():
                 k, axis = divmod(int(broken.argmax()), broken.shape[1])

@@ -1,9 +1,12 @@
 """The redundancy of the whole body: all axes from the platform's pose and the place on the path.
 
 A redundancy coordinate z = (x, y, theta, s) is the pose of base_link in odom [m, m, rad] and the
-parameter of the tool's path [m]. The arm follows in closed form, so that the tool is on its path
-whatever z is. The rates are q' = G z', with G = J_arm^-1 (-J_platform, t), where t is the tool's
-twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
+parameter of a path [m], of which the arm follows in closed form, q = f(z). The rates of the joints
+are q' = G z'.
+
+* A path of the tool: the tool is on it whatever z is. G = J_arm^-1 (-J_platform, t), where t is
+  the tool's twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
+* A path of the joints c(s): the platform is free. G = (0, c'), and q'' = G z'' + c'' s'^2.
 """
 
 from dataclasses import dataclass
@@ -13,21 +16,34 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
+from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 
 COORDINATES = 4  #: Number of redundancy coordinates
 PATH_PARAMETER = 3  #: Index of the place on the path among them
 DIFFERENCE_STEP = 1e-5  #: Step of the numerical derivative of the Jacobian [s]
+_LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)  #: Parts of a twist
 SINGULAR = 1e-9  #: Determinant of the arm's Jacobian below which it counts as singular
 
 
-class LedPath(Protocol):
-    """A path of the tool, as a `ToolCurve` or a `HeldTool` is."""
+class BodyPath(Protocol):
+    """A path that the body follows."""
 
     @property
     def end(self) -> float:
         """Parameter u at the end [m]."""
         ...
+
+    def length(self) -> float:
+        """Return the length of the path by which progress is told [m]."""
+        ...
+
+
+class LedPath(BodyPath, Protocol):
+    """A path of the tool, as a `ToolCurve` or a `HeldTool` is; its length is that of `tool0`."""
 
     def pose(self, u: Array) -> Array:
         """Return poses (m, 4, 4) of the tool at u (m,)."""
@@ -35,10 +51,6 @@ class LedPath(Protocol):
 
     def motion(self, u: Array) -> tuple[Array, Array, Array]:
         """Return poses (m, 4, 4), twists (m, 6) per u and their derivatives by u, at u (m,)."""
-        ...
-
-    def length(self) -> float:
-        """Return the path length of the tool's origin [m]."""
         ...
 
 
@@ -54,7 +66,7 @@ class Configurations(Validated):
     #: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table
     frames: Annotated[Array, Shape("k", 7, 4, 4, finite=False)]
     jacobian: Annotated[Array, Shape("k", 6, 9, finite=False)]  #: Jacobians (k, 6, 9) of the tool
-    #: Derivatives (k, 6) of the tool's twist per s by s
+    #: Derivatives (k, 6) by s of the tool's twist per s, or of the joints' derivatives by s
     bend: Annotated[Array, Shape("k", 6, finite=False)]
 
     @property
@@ -68,6 +80,74 @@ class Configurations(Validated):
         return self.q[:, 3:]
 
 
+class SingularityMargins:
+    """Margins of the arm to its singularities, on the sides of them on which it starts.
+
+    Attributes:
+        least: Least margin that a motion must keep.
+
+    Raises:
+        InputError: The arm starts (6,) nearer to a singularity than that.
+    """
+
+    def __init__(
+        self,
+        model: WholeBodyModel,
+        limits: WholeBodyLimits,
+        options: ToolPathOptions,
+        start: Array,
+    ) -> None:
+        self._resolver = RedundancyResolver(model, limits, options)
+        self.least = options.singularity
+        self._signs = self._resolver.signs(start)
+
+    def at(self, arm: Array) -> tuple[Array, Array]:
+        """Return margins (k, 3) at joint angles (k, 6), and their derivatives (k, 3, 6)."""
+        return self._resolver.margins(arm, self._signs)
+
+
+class BodyRedundancy(Protocol):
+    """All axes as functions of the redundancy coordinates.
+
+    Attributes:
+        centre: Joint angles (6,) of the start [rad].
+        pull: Weight of the platform's distance from its searched way, relative to that of a tool
+            that is led, whose arm holds the platform besides.
+    """
+
+    model: WholeBodyModel
+    centre: Array
+    pull: float
+
+    @property
+    def path(self) -> BodyPath:
+        """What the arm follows."""
+        ...
+
+    def axes(self, z: Array) -> Array:
+        """Return all axes (k, 9) at coordinates (k, 4); NaN where there are none."""
+        ...
+
+    def configurations(self, z: Array) -> Configurations:
+        """Return configurations with derivatives at coordinates (k, 4)."""
+        ...
+
+    def drift(self, at: Configurations, velocity: Array) -> Array:
+        """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""
+        ...
+
+    def bends(self, places: Array) -> Array:
+        """Return the accelerations (k,) along the path per squared rate of s [1/m].
+
+        A rotation counts as the length that it has in s.
+        """
+        ...
+
+    def tool(self, z: Array) -> Array:
+        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, 4)."""
+        ...
+
+
 class ToolRedundancy:
     """Arm and platform while the tool is on a path in odom.
 
@@ -75,6 +155,8 @@ class ToolRedundancy:
         centre: Joint angles (6,) of the start [rad]; the arm stays on their branch of the inverse
             kinematics, and each joint within half a revolution of them.
     """
+
+    pull = 1.0
 
     def __init__(self, model: WholeBodyModel, path: LedPath, centre: Array) -> None:
         self.model, self.path, self.centre = model, path, centre
@@ -112,6 +194,17 @@ class ToolRedundancy:
         turning = _times(ahead - behind, rates) / (2.0 * DIFFERENCE_STEP)
         right = at.bend * velocity[:, PATH_PARAMETER, None] ** 2 - turning
         return _solved(at.jacobian[:, :, 3:], right[:, :, None])[:, :, 0]
+
+    def bends(self, places: Array) -> Array:
+        """Return the accelerations (k,) of the tool per squared rate of s; see the protocol."""
+        _, _, bend = self.path.motion(places)
+        linear, angular = (np.linalg.norm(bend[:, part], axis=1) for part in (_LINEAR, _ANGULAR))
+        bends: Array = np.maximum(linear, ROTATION_LENGTH * angular)
+        return bends
+
+    def tool(self, z: Array) -> Array:
+        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, 4)."""
+        return self.path.pose(z[:, PATH_PARAMETER])
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Tasks of the whole body: the tool along a path, or held, past what is around the robot."""
+"""Tasks of the whole body past what is around it: the tool along a path, or held."""
 
 import numpy as np
 
@@ -13,57 +13,61 @@ from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.controller import CycleOutcome, WholeBodyController
-from omniman_ros.planning.whole_body.linearisation import Linearisation
+from omniman_ros.planning.whole_body.linearisation import Linearisation, PathLimits
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.plan_check import PlanCheck
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
-from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import (
+    BodyRedundancy,
+    SingularityMargins,
+    ToolRedundancy,
+)
 
 REST = 1e-3  #: Rate of the coordinates below which a robot that waits rests [m/s, rad/s]
 
 
 class BodyTask:
-    """Platform and arm while the tool is led: along a path, or held at a place.
+    """Platform and arm along a path of the body, such as one of the tool.
 
     Axes (9,) are at rest at the start; the way of the platform leads the plans.
 
     Attributes:
+        leads_tool: Whether the tool is on the path, so that the arm follows in closed form.
         has_end: Whether the task ends by itself, so that progress is expected.
+        check: What each plan must pass.
         detour: Task that begins where the robot waits and may take the place of this one.
 
     Raises:
-        InputError: The arm starts near a singularity.
+        InputError: The tool is led, and the arm starts near a singularity.
         SolverError: casadi has no HPIPM.
     """
 
-    has_end = True
+    leads_tool, has_end = True, True
     detour: "BodyTask | None" = None
 
     def __init__(
         self,
         setup: BodySetup,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         way: PlatformPath,
         start: Array,
         time: float,
+        along: PathLimits | None = None,
     ) -> None:
         limits, options, o = setup.limits, setup.path, setup.dodge
-        resolver = RedundancyResolver(redundancy.model, limits, options)
-        resolver.signs(start[3:])  # raises on a singularity, where there is no branch
+        margins = None
+        if self.leads_tool:
+            margins = SingularityMargins(redundancy.model, limits, options, start[3:])
+        speed, acceleration = options.linear_velocity, options.linear_acceleration
+        along = along or PathLimits(speed, acceleration, options.reserve)
         gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing, o.time_gap)
-        balance, least = BodyBalance(setup.description), options.singularity
-        tool = (options.linear_velocity, options.linear_acceleration, least, options.reserve)
+        balance = BodyBalance(setup.description)
         self.redundancy, self.way = redundancy, way
-        self.controller = WholeBodyController(
-            redundancy,
-            gaps,
-            limits,
-            Linearisation(redundancy, gaps, balance, resolver, limits, tool, o),
-            PlanCheck(redundancy, gaps, balance, resolver, limits, least, o),
-            o,
-        )
+        self.check = PlanCheck(redundancy, gaps, balance, margins, limits, o)
+        improve = Linearisation(redundancy, gaps, balance, margins, limits, along, o)
+        self.controller = WholeBodyController(redundancy, gaps, limits, improve, self.check, o)
         self.controller.begin(time, np.append(start[:3], 0.0))
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
@@ -72,6 +76,11 @@ class BodyTask:
         Raises:
             NoWayError: There is none; the way before stays.
         """
+
+    @property
+    def description(self) -> str:
+        """What is done, in words."""
+        return f"{self.redundancy.path.length():.2f} m of the tool"
 
     def cycle(
         self, now: float, around: ObstacleSnapshot, ready: float | None = None
@@ -88,7 +97,7 @@ class BodyTask:
         return bool(np.abs(self.controller.motion.sample(time)[1]).max() < REST)
 
     def is_completed(self, time: float) -> bool:
-        """Return whether the tool is at rest at the end of the path at a time [s]."""
+        """Return whether the task is done, with the body at rest at its end, at a time [s]."""
         return self.has_end and self.controller.is_completed(time)
 
 
@@ -148,6 +157,7 @@ class ToolHold(BodyTask):
     """
 
     has_end = False
+    description = "the tool is held"
 
     def __init__(self, setup: BodySetup, start: Array, time: float) -> None:
         if start.shape != (AXES,) or not np.isfinite(start).all():
