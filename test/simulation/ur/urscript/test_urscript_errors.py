@@ -39,6 +39,7 @@ FUZZES = 100
         ("a", 1, "neither a call nor an assignment"),
         ("f()[0]", 1, "neither a call nor an assignment"),
         ("x = 1\nbreak", 2, "break outside a loop"),
+        ("while x:\nend\nbreak", 3, "break outside a loop"),
         ("while True:\n  def f():\n    continue\n  end\nend", 3, "continue outside a loop"),
         ("def f(a, a):\nend\nf(1)", 1, "parameter 'a' stands there twice"),
         ("thread t(a):\nend\nrun t(1)", 1, "cannot have parameters"),

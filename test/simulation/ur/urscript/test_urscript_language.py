@@ -110,7 +110,7 @@ def test_brackets_carry_an_expression_over_lines():
 def test_an_operator_carries_an_expression_over_lines():
     text = "if 1 == 2 or # this\n\n  2 == 2 or\n  3 == 4:\n  a = 1 +\n 1\nend"
     assert ran(text).machine.variables == {"a": 2}
-    assert fault_of("a = 1 +\n2 /\n0")[0] == 2
+    assert fault_of('a = 1 +\n2 -\n"x"')[0] == 2
 
 
 def test_labels_annotations_and_comments_are_no_statements():
