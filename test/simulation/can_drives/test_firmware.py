@@ -55,3 +55,10 @@ def test_reports_of_each_identifier_are_reordered_by_themselves():
     for number in (1, 2, 1, 2):
         found += play.apply(can.Message(arbitration_id=number), faults)
     assert [message.arbitration_id for message in found] == [1, 1, 2, 2]
+
+
+def test_a_report_that_was_held_back_is_sent_when_the_fault_ends():
+    play, found = ReportFaults(), []
+    for data, faults in ((b"a", DriveFaults(reordered_reports=True)), (b"b", DriveFaults())):
+        found += play.apply(can.Message(arbitration_id=1, data=data), faults)
+    assert [bytes(message.data) for message in found] == [b"a", b"b"]
