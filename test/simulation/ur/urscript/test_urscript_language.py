@@ -268,6 +268,11 @@ end
     assert ran(text).machine.variables == {"a": 1, "b": 2}
 
 
+def test_an_element_of_a_global_list_is_assigned_in_a_function():
+    text = "a = [1, 2]\ndef f():\n  a[0] = 5\nend\nf()"
+    assert ran(text).machine.variables == {"a": (5, 2)}
+
+
 def test_an_unknown_variable_of_a_function_is_its_own():
     text = "def f():\n  a = 1\nend\nf()\nb = a"
     assert fault_of(text) == (5, "name 'a' is not defined")
