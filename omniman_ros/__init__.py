@@ -20,8 +20,8 @@ The public names, each imported when it is first used:
   `AxisLimits`; `ToolPlanner`; `ArmModel`, `WholeBodyModel`; `Preview` and `HermiteTrajectory`.
 * Planning among obstacles, MPC 2021 and beyond: `Planner` with `MeasuredState`, `PoseGoal`,
   `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask`,
-  `tool_goal_task` and `JointGoalTask` with `ObstacleSnapshot`, `MovingObstacles` and
-  `UprightObstacles`. Need casadi.
+  `tool_goal_task` and `JointGoalTask` with `ObstacleSnapshot`, `MovingObstacles`,
+  `UprightObstacles` and `OrientationFreedom`. Need casadi.
 * Simulation: `SimulatedDrives` on a plant, or in a `World` of physics, which needs mujoco-core,
   with a `Scene` of `Wall`, `Post`, `Table` and `Person`, or one by `load_scene`, and a `Scanner`.
 * Drives on a CAN bus: `CanDrives` by `CanParameters`; `DriveAxis` with `AxisState`, `Demand` and
@@ -101,6 +101,9 @@ if TYPE_CHECKING:
     from omniman_ros.planning.whole_body.obstacle_snapshot import (
         ObstacleSnapshot as ObstacleSnapshot,
     )
+    from omniman_ros.planning.whole_body.parameters import (
+        OrientationFreedom as OrientationFreedom,
+    )
     from omniman_ros.planning.whole_body.task import WholeBodyTask as WholeBodyTask
     from omniman_ros.planning.whole_body.tool_goal import tool_goal_task as tool_goal_task
     from omniman_ros.recording.recordings import read_recording as read_recording
@@ -158,6 +161,7 @@ _PUBLIC = {
     "planning.planner": ("Planner",),
     "planning.whole_body.joint_goal": ("JointGoalTask",),
     "planning.whole_body.obstacle_snapshot": ("ObstacleSnapshot",),
+    "planning.whole_body.parameters": ("OrientationFreedom",),
     "planning.whole_body.task": ("WholeBodyTask",),
     "planning.whole_body.tool_goal": ("tool_goal_task",),
     "recording.recordings": ("read_recording", "write_recording"),

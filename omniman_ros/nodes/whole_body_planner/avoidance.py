@@ -101,7 +101,9 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
     def _setup(self) -> BodySetup:
         p = self._motions.options
         load = p.load if p.load.is_carried else None
-        return BodySetup(p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge)
+        return BodySetup(
+            p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge, p.orientation
+        )
 
     def drive(self, motion: LoggedMotion, task: "BodyTask") -> None:
         """Start a task from the robot's present position."""

@@ -6,7 +6,11 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.nodes.path_interpolator.parameters import StreamParameters
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, led_tool
+from omniman_ros.planning.whole_body.parameters import (
+    AvoidanceOptions,
+    OrientationFreedom,
+    led_tool,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,6 +18,7 @@ class WholeBodyPlannerParameters(StreamParameters):
     """Parameters of the node: those of its core, its surroundings and its streams."""
 
     dodge: AvoidanceOptions
+    orientation: OrientationFreedom
     surroundings: SurroundingsParameters = inline()
     patience: float = parameter(
         30.0,

@@ -33,9 +33,9 @@ class MarginRows(Validated):
     """Tip-over margins to each of E edges at k configurations, with their derivatives [m]."""
 
     margin: Annotated[Array, Shape("k", "E")]
-    by_z: Annotated[Array, Shape("k", "E", 4)]  #: By the redundancy coordinates
-    by_rate: Annotated[Array, Shape("k", "E", 4)]  #: By their rates
-    by_acceleration: Annotated[Array, Shape("k", "E", 4)]  #: By their accelerations
+    by_z: Annotated[Array, Shape("k", "E", "d")]  #: By the redundancy coordinates
+    by_rate: Annotated[Array, Shape("k", "E", "d")]  #: By their rates
+    by_acceleration: Annotated[Array, Shape("k", "E", "d")]  #: By their accelerations
 
 
 class BodyBalance:
@@ -92,7 +92,7 @@ class BodyBalance:
         return float(self._to_edges(point[None]).min())
 
     def rows(self, at: Configurations, rates: Array, accelerations: Array) -> MarginRows:
-        """Return the margins at configurations with rates and accelerations (k, 4) in odom."""
+        """Return the margins at configurations with rates and accelerations (k, d) in odom."""
         arm, by_joints = self._arm_centre(self._base @ at.frames)
         c, s = np.cos(at.z[:, YAW]), np.sin(at.z[:, YAW])
         to_robot = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=1)

@@ -25,7 +25,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import HALF_TURN
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
-from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
+from omniman_ros.planning.whole_body.redundancy import Configurations
 
 FAR = 10.0  #: Gap of a row that constrains nothing [m]
 #: Gap beyond which that to the disc around an obstacle stands for the true one [m]
@@ -42,8 +42,8 @@ class GapRows(Validated):
 
     #: Gaps (k, n), less the margin around what moves, which grows [m]
     gap: Annotated[Array, Shape("k", "n")]
-    #: Derivatives (k, n, 4) by the redundancy coordinates
-    slope: Annotated[Array, Shape("k", "n", 4)]
+    #: Derivatives (k, n, d) by the redundancy coordinates
+    slope: Annotated[Array, Shape("k", "n", "d")]
     #: What each (k, n) is a gap to: OWN, STANDING or MOVING
     kind: Annotated[Indices, Shape("k", "n")]
 
@@ -51,10 +51,10 @@ class GapRows(Validated):
         """Return the n = `count` smallest gaps of each configuration; far ones fill up."""
         k, n = self.gap.shape
         if n < count:
-            more = count - n
+            more, d = count - n, self.slope.shape[2]
             return GapRows.unchecked(
                 gap=np.hstack([self.gap, np.full((k, more), FAR)]),
-                slope=np.concatenate([self.slope, np.zeros((k, more, COORDINATES))], axis=1),
+                slope=np.concatenate([self.slope, np.zeros((k, more, d))], axis=1),
                 kind=np.hstack([self.kind, np.full((k, more), STANDING)]),
             )
         index = np.argpartition(self.gap, count - 1, axis=1)[:, :count]
@@ -257,7 +257,7 @@ class BodyGaps:
                 obstacles, each.poses(poses), each.half, self.heights
             )
             gaps.append(gap)
-            slopes.append(_at_base(by_centre, poses, each))
+            slopes.append(_at_base(by_centre, poses, each, at.z.shape[1]))
         centre = in_odom(poses, placed.centre)
         distance, normal = point_gaps(_for_spheres(obstacles), np.moveaxis(centre, -1, 0))
         distance -= self.spheres.radius[:, None]
@@ -322,10 +322,10 @@ def in_odom(poses: Array, points: Array) -> Array:
     )
 
 
-def _at_base(slopes: Array, poses: Array, rectangle: Rectangles) -> Array:
-    """Return derivatives (k, M, 4) by the coordinates from those (k, M, 3) by a rectangle."""
+def _at_base(slopes: Array, poses: Array, rectangle: Rectangles, coordinates: int) -> Array:
+    """Return derivatives (k, M, d) by the coordinates from those (k, M, 3) by a rectangle."""
     offset = rectangle.poses(poses)[:, :2] - poses[:, :2]
-    result = np.zeros((*slopes.shape[:2], COORDINATES))
+    result = np.zeros((*slopes.shape[:2], coordinates))
     result[..., :3] = slopes
     result[..., 2] += slopes[..., 1] * offset[:, None, 0] - slopes[..., 0] * offset[:, None, 1]
     return result
@@ -334,7 +334,7 @@ def _at_base(slopes: Array, poses: Array, rectangle: Rectangles) -> Array:
 def _by_coordinates(
     at: Configurations, normal: Array, centre: Array, moved: Array, poses: Array
 ) -> Array:
-    """Return derivatives (k, M, 4) of gaps by the coordinates.
+    """Return derivatives (k, M, d) of gaps by the coordinates.
 
     Normals (k, M, 3) are the derivatives by the centres, in odom; centres (k, M, 3) and poses (k,
     3) are in the frame of the obstacles; `moved` (k, M, 3, 6) is by the joints, in base_link.

@@ -173,7 +173,9 @@ class _WaySearch:
         speed = min(DIAGONAL * limits.velocity[0], limits.path_speeds[0])
         turn = min(limits.velocity[2], limits.path_speeds[1])
         free = (1.0 - setup.path.reserve) * o.joint_effort
-        self.along = PathLimits(speed, DIAGONAL * limits.acceleration[0], setup.path.reserve)
+        self.along = PathLimits(
+            speed, DIAGONAL * limits.acceleration[0], setup.path.reserve, (0.0, 0.0)
+        )
         #: Lengths (9,) in s of a unit of each axis, such that s' = `speed` keeps their limits
         self._scale = np.concatenate(
             [[1.0, 1.0, speed / turn], speed / (free * limits.velocity[JOINT_COLUMNS])]

@@ -40,6 +40,7 @@ class JointPath:
 class JointRedundancy:
     """All axes while the joints are on a path of their own and the platform is free."""
 
+    bound: Array = np.full(COORDINATES, np.inf)
     pull = 10.0  # nothing else keeps the platform beside the posture with which it has room
 
     def __init__(self, model: WholeBodyModel, path: JointPath) -> None:

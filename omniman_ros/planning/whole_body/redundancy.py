@@ -6,6 +6,8 @@ are q' = G z'.
 
 * A path of the tool: the tool is on it whatever z is. G = J_arm^-1 (-J_platform, t), where t is
   the tool's twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
+* Where the orientation of the tool is free, z goes on with the free coordinates f [rad], see
+  :mod:`free_orientation`, and the tool's twist is t s' + T f'.
 * A path of the joints c(s): the platform is free. G = (0, c'), and q'' = G z'' + c'' s'^2.
 """
 
@@ -21,8 +23,9 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
+from omniman_ros.planning.whole_body.free_orientation import FreeOrientation
 
-COORDINATES = 4  #: Number of redundancy coordinates
+COORDINATES = 4  #: Number of redundancy coordinates without those of a free orientation
 PATH_PARAMETER = 3  #: Index of the place on the path among them
 DIFFERENCE_STEP = 1e-5  #: Step of the numerical derivative of the Jacobian [s]
 _LINEAR, _ANGULAR = slice(0, 3), slice(3, 6)  #: Parts of a twist
@@ -58,11 +61,11 @@ class LedPath(BodyPath, Protocol):
 class Configurations(Validated):
     """Configurations of the whole body along a plan."""
 
-    z: Annotated[Array, Shape("k", 4)]  #: Redundancy coordinates (k, 4)
+    z: Annotated[Array, Shape("k", "d")]  #: Redundancy coordinates (k, d)
     #: All axes (k, 9); NaN where the arm does not reach the tool
     q: Annotated[Array, Shape("k", 9, finite=False)]
-    #: G (k, 6, 4), the joints' derivatives by z
-    rates: Annotated[Array, Shape("k", 6, 4, finite=False)]
+    #: G (k, 6, d), the joints' derivatives by z
+    rates: Annotated[Array, Shape("k", 6, "d", finite=False)]
     #: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table
     frames: Annotated[Array, Shape("k", 7, 4, 4, finite=False)]
     jacobian: Annotated[Array, Shape("k", 6, 9, finite=False)]  #: Jacobians (k, 6, 9) of the tool
@@ -113,11 +116,13 @@ class BodyRedundancy(Protocol):
         centre: Joint angles (6,) of the start [rad].
         pull: Weight of the platform's distance from its searched way, relative to that of a tool
             that is led, whose arm holds the platform besides.
+        bound: Largest coordinates (d,); infinity without a bound.
     """
 
     model: WholeBodyModel
     centre: Array
     pull: float
+    bound: Array
 
     @property
     def path(self) -> BodyPath:
@@ -125,15 +130,15 @@ class BodyRedundancy(Protocol):
         ...
 
     def axes(self, z: Array) -> Array:
-        """Return all axes (k, 9) at coordinates (k, 4); NaN where there are none."""
+        """Return all axes (k, 9) at coordinates (k, d); NaN where there are none."""
         ...
 
     def configurations(self, z: Array) -> Configurations:
-        """Return configurations with derivatives at coordinates (k, 4)."""
+        """Return configurations with derivatives at coordinates (k, d)."""
         ...
 
     def drift(self, at: Configurations, velocity: Array) -> Array:
-        """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""
+        """Return the joints' accelerations (k, 6) while z' (k, d) does not change [rad/s^2]."""
         ...
 
     def bends(self, places: Array) -> Array:
@@ -144,7 +149,7 @@ class BodyRedundancy(Protocol):
         ...
 
     def tool(self, z: Array) -> Array:
-        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, 4)."""
+        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, d)."""
         ...
 
 
@@ -152,47 +157,68 @@ class ToolRedundancy:
     """Arm and platform while the tool is on a path in odom.
 
     Args:
+        free: What is free of the tool's orientation, if anything.
         centre: Joint angles (6,) of the start [rad]; the arm stays on their branch of the inverse
             kinematics, and each joint within half a revolution of them.
     """
 
     pull = 1.0
 
-    def __init__(self, model: WholeBodyModel, path: LedPath, centre: Array) -> None:
-        self.model, self.path, self.centre = model, path, centre
+    def __init__(
+        self,
+        model: WholeBodyModel,
+        path: LedPath,
+        centre: Array,
+        free: FreeOrientation | None = None,
+    ) -> None:
+        self.model, self.path, self.centre, self.free = model, path, centre, free
+        self.bound: Array = np.full(COORDINATES, np.inf)
+        if free is not None:
+            self.bound = np.append(self.bound, free.bound)
         self._branch = model.arm.branch_of(centre)
 
     def axes(self, z: Array) -> Array:
-        """Return all axes (k, 9) at coordinates (k, 4); NaN where the tool is out of reach."""
+        """Return all axes (k, 9) at coordinates (k, d); NaN where the tool is out of reach."""
         platform = z[:, :3]
-        return np.hstack([platform, self.arm(platform, self.path.pose(z[:, PATH_PARAMETER]))])
+        return np.hstack([platform, self.arm(platform, self.tool(z))])
 
     def arm(self, platform: Array, tool: Array) -> Array:
         """Return joint angles (k, 6) for poses of platform (k, 3) and tool (k, 4, 4)."""
         return self.model.arm_angles(platform, tool, self._branch, self.centre)
 
     def configurations(self, z: Array) -> Configurations:
-        """Return configurations with derivatives at coordinates (k, 4).
+        """Return configurations with derivatives at coordinates (k, d).
 
         The derivatives are NaN where the arm is singular or does not reach the tool.
         """
         pose, twist, bend = self.path.motion(z[:, PATH_PARAMETER])
+        if self.free is None:
+            twists = twist[:, :, None]
+        else:
+            pose, twists = self.free.motion(pose, twist, z[:, COORDINATES:])
         q = np.hstack([z[:, :3], self.arm(z[:, :3], pose)])
         frames = self.model.arm.frames(q[:, 3:])
         jacobian = self.model.jacobian_of(q, frames)
-        right = np.concatenate([-jacobian[:, :, :3], twist[:, :, None]], axis=2)
+        right = np.concatenate([-jacobian[:, :, :3], twists], axis=2)
         rates = _solved(jacobian[:, :, 3:], right)
         return Configurations.unchecked(
             z=z, q=q, rates=rates, frames=frames, jacobian=jacobian, bend=bend
         )
 
     def drift(self, at: Configurations, velocity: Array) -> Array:
-        """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""
+        """Return the joints' accelerations (k, 6) while z' (k, d) does not change [rad/s^2]."""
         rates = np.hstack([velocity[:, :3], _times(at.rates, velocity)])
         step = DIFFERENCE_STEP * rates
         ahead, behind = self.model.jacobian(np.stack([at.q + step, at.q - step]))
         turning = _times(ahead - behind, rates) / (2.0 * DIFFERENCE_STEP)
-        right = at.bend * velocity[:, PATH_PARAMETER, None] ** 2 - turning
+        speed = velocity[:, PATH_PARAMETER]
+        if self.free is None:
+            change = at.bend * speed[:, None] ** 2
+        else:
+            pose, twist, bend = self.path.motion(at.z[:, PATH_PARAMETER])
+            f, f_rate = at.z[:, COORDINATES:], velocity[:, COORDINATES:]
+            change = self.free.change(pose, twist, bend, f, speed, f_rate)
+        right = change - turning
         return _solved(at.jacobian[:, :, 3:], right[:, :, None])[:, :, 0]
 
     def bends(self, places: Array) -> Array:
@@ -203,8 +229,9 @@ class ToolRedundancy:
         return bends
 
     def tool(self, z: Array) -> Array:
-        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, 4)."""
-        return self.path.pose(z[:, PATH_PARAMETER])
+        """Return poses (k, 4, 4) of `tool0` in odom at coordinates (k, d)."""
+        pose = self.path.pose(z[:, PATH_PARAMETER])
+        return pose if self.free is None else self.free.turned(pose, z[:, COORDINATES:])
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

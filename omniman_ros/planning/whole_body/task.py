@@ -13,6 +13,7 @@ from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.controller import CycleOutcome, WholeBodyController
+from omniman_ros.planning.whole_body.free_orientation import FreeOrientation
 from omniman_ros.planning.whole_body.linearisation import Linearisation, PathLimits
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import BodySetup
@@ -20,6 +21,7 @@ from omniman_ros.planning.whole_body.plan_check import PlanCheck
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
 from omniman_ros.planning.whole_body.platform_path_search import PlatformPathSearch
 from omniman_ros.planning.whole_body.redundancy import (
+    COORDINATES,
     BodyRedundancy,
     SingularityMargins,
     ToolRedundancy,
@@ -32,6 +34,9 @@ class BodyTask:
     """Platform and arm along a path of the body, such as one of the tool.
 
     Axes (9,) are at rest at the start; the way of the platform leads the plans.
+
+    Args:
+        free: Coordinates of the tool's free orientation at the start; None: zero.
 
     Attributes:
         leads_tool: Whether the tool is on the path, so that the arm follows in closed form.
@@ -55,20 +60,27 @@ class BodyTask:
         start: Array,
         time: float,
         along: PathLimits | None = None,
+        free: Array | None = None,
     ) -> None:
         limits, options, o = setup.limits, setup.path, setup.dodge
         margins = None
         if self.leads_tool:
             margins = SingularityMargins(redundancy.model, limits, options, start[3:])
         speed, acceleration = options.linear_velocity, options.linear_acceleration
-        along = along or PathLimits(speed, acceleration, options.reserve)
+        turning = options.angular_velocity, options.angular_acceleration
+        along = along or PathLimits(speed, acceleration, options.reserve, turning)
         gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing, o.time_gap)
         balance = BodyBalance(setup.description)
         self.redundancy, self.way = redundancy, way
         self.check = PlanCheck(redundancy, gaps, balance, margins, limits, o)
         improve = Linearisation(redundancy, gaps, balance, margins, limits, along, o)
         self.controller = WholeBodyController(redundancy, gaps, limits, improve, self.check, o)
-        self.controller.begin(time, np.append(start[:3], 0.0))
+        #: Redundancy coordinates (d,) at the start
+        self.begin: Array = np.zeros(len(redundancy.bound))
+        self.begin[:3] = start[:3]
+        if free is not None:
+            self.begin[COORDINATES:] = free
+        self.controller.begin(time, self.begin)
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew from where the robot is at a time [s], as something new stands.
@@ -116,9 +128,9 @@ class WholeBodyTask(BodyTask):
     def __init__(
         self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
     ) -> None:
-        self._search = path_search(setup, poses, start)
-        way = self._search.find(np.append(start[:3], 0.0), around)
-        super().__init__(setup, self._search.redundancy, way, start, time)
+        self._search, free = path_search(setup, poses, start)
+        way = self._search.find(np.concatenate([start[:3], [0.0], free]), around)
+        super().__init__(setup, self._search.redundancy, way, start, time, free=free)
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find the way anew; see the base class."""
@@ -126,8 +138,10 @@ class WholeBodyTask(BodyTask):
         self.way = self._search.find(at, around)
 
 
-def path_search(setup: BodySetup, poses: Array, start: Array) -> PlatformPathSearch:
+def path_search(setup: BodySetup, poses: Array, start: Array) -> tuple[PlatformPathSearch, Array]:
     """Return the search for ways of the platform while the tool is led along poses (k, 4, 4).
+
+    The coordinates of the tool's free orientation at the start, if any, come second.
 
     Raises:
         InputError: The input is invalid, the path is too far away, or the arm starts (9,) near a
@@ -136,14 +150,23 @@ def path_search(setup: BodySetup, poses: Array, start: Array) -> PlatformPathSea
     model = WholeBodyModel(setup.description.mount)
     limits, options, o = setup.limits, setup.path, setup.dodge
     ToolPlanner(model, limits, options).require_valid(poses, start)
-    path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
+    tool, free, begin = model.forward(start), _freedom(setup), np.zeros(0)
+    led = np.concatenate([tool[None], poses])
+    if free is not None:
+        led, begin = free.path_of(tool, poses)
+    path = ToolCurve(led, options)
     resolver = RedundancyResolver(model, limits, options)
     resolver.signs(start[3:])  # raises on a singularity, where there is no branch
-    redundancy = ToolRedundancy(model, path, start[3:])
+    redundancy = ToolRedundancy(model, path, start[3:], free)
     coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
-    return PlatformPathSearch(
+    search = PlatformPathSearch(
         redundancy, path, coarse, resolver, limits, options.singularity, o.way
     )
+    return search, begin
+
+
+def _freedom(setup: BodySetup) -> FreeOrientation | None:
+    return FreeOrientation(setup.freedom) if setup.freedom.is_free else None
 
 
 class ToolHold(BodyTask):
@@ -164,5 +187,7 @@ class ToolHold(BodyTask):
             raise InputError(f"the start must be {AXES} finite positions")
         model = WholeBodyModel(setup.description.mount)
         held = HeldTool(model.forward(start))
-        way = PlatformPath(0.0, 1.0, np.tile(start[:3], (2, 1)))
-        super().__init__(setup, ToolRedundancy(model, held, start[3:]), way, start, time)
+        redundancy = ToolRedundancy(model, held, start[3:], _freedom(setup))
+        rest = np.append(start[:3], np.zeros(len(redundancy.bound) - COORDINATES))
+        way = PlatformPath(0.0, 1.0, np.tile(rest, (2, 1)))
+        super().__init__(setup, redundancy, way, start, time)

@@ -25,6 +25,7 @@ from omniman_ros.planning.route.search import RouteSearch
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
 
 #: Gap of the route relative to that of a way of the platform: a route halves it between its nodes
@@ -69,8 +70,9 @@ class ToolGoalTask(WholeBodyTask):
                 raise
             self._tried_at = time
             now = self.controller.motion.sample(time)[0]
-            places = np.linspace(now[-1], max(now[-1] - RETREAT, 0.0), RETREAT_STEPS)
-            back = np.column_stack([self.way.at(places)[0], places])
+            place = float(now[PATH_PARAMETER])
+            places = np.linspace(place, max(place - RETREAT, 0.0), RETREAT_STEPS)
+            back = np.insert(self.way.at(places)[0], PATH_PARAMETER, places, axis=1)
             start, *before = self.redundancy.axes(np.vstack([now, back]))
             try:
                 self.detour = tool_goal_task(
@@ -103,7 +105,7 @@ def tool_goal_task(
     model = WholeBodyModel(setup.description.mount)
     tool = model.forward(np.vstack([start, axes]))
     straight = np.stack([tool[0], goal])
-    ends = path_search(setup, straight, start).ends(start[:3], around)
+    ends = path_search(setup, straight, start)[0].ends(start[:3], around)
     try:
         return ToolGoalTask(setup, straight, start, time, around)
     except NoPathError as error:
