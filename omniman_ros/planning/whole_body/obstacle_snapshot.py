@@ -1,7 +1,7 @@
 """What the whole body keeps clear of: standing obstacles, and those that move or may move."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -91,14 +91,13 @@ class ObstacleSnapshot(Validated):
         """Velocities (2, M) of all obstacles, the standing ones first [m/s]."""
         return np.hstack([np.zeros((2, len(self.standing))), self.moving.velocity])
 
-    def placed(self, ages: Array) -> UprightObstacles:
-        """Return all M obstacles, the standing ones first, at times (k,) after theirs [s].
+    def placed(self, ages: Array, numbers: Indices) -> UprightObstacles:
+        """Return obstacles with numbers (k, n), the standing ones first, at ages (k,) [s].
 
-        Their centres (2, k, M) differ from time to time [m].
+        All arrays of the result are (..., k, n).
         """
-        obstacles = UprightObstacles.join([self.standing, self.moving.obstacles])
-        velocity = self.velocities
-        return obstacles.placed(obstacles.centre[:, None] + ages[:, None] * velocity[:, None])
+        chosen = UprightObstacles.join([self.standing, self.moving.obstacles]).select(numbers)
+        return chosen.placed(chosen.centre + ages[:, None] * self.velocities[:, numbers])
 
     def slowed(self, time: float, pace: float) -> "ObstacleSnapshot":
         """Return the same in the motion time of a robot at a pace, in which what moves is faster.
@@ -106,14 +105,11 @@ class ObstacleSnapshot(Validated):
         A robot slower than `SLOWEST_PACE` all but stands.
         """
         pace = max(pace, SLOWEST_PACE)
-        velocity, growth = self.moving.velocity / pace, self.growth / pace
-        return replace(
-            self,
-            time=time,
-            moving=MovingObstacles(self.moving.obstacles, velocity),
-            growth=growth,
-            pace=pace,
+        moving = MovingObstacles.unchecked(
+            obstacles=self.moving.obstacles, velocity=self.moving.velocity / pace
         )
+        changed = {"time": time, "moving": moving, "growth": self.growth / pace, "pace": pace}
+        return ObstacleSnapshot.unchecked(**{**vars(self), **changed})
 
     def standing_near(self, place: Array, reach: float) -> Indices:
         """Return the numbers of those that stand within a reach [m] of a place (2,), or more."""

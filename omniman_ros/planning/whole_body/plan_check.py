@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
-from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.body_gaps import NEAR, BodyGaps
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
@@ -109,8 +110,8 @@ class PlanCheck:
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
         ages = np.concatenate([each[0] for each in samples]) - around.time
-        of_parts = self._gaps.to_obstacles(
-            z[index, :3], placed.centre[index], around.placed(ages), len(around.standing)
+        gaps, parts = self._gaps.to_obstacles(
+            z[index, :3], placed.centre[index], around, ages, NEAR
         )
         verdicts, begin, first = [], 0, 0
         for times, at, rates in samples:
@@ -126,7 +127,8 @@ class PlanCheck:
                 verdict = PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
             else:
                 places = z[index[first:last], PATH_PARAMETER]
-                verdict = self._beside(times, places, of_parts[first:last], around)
+                there = slice(first, last)
+                verdict = self._beside(times, places, gaps[there], parts[there], around)
             verdicts.append(verdict)
             first = last
         return verdicts
@@ -156,17 +158,21 @@ class PlanCheck:
         return Obstruction(Cause.TIPPING, float(z[k, PATH_PARAMETER])), k
 
     def _beside(
-        self, times: Array, places: Array, of_parts: Array, around: ObstacleSnapshot
+        self,
+        times: Array,
+        places: Array,
+        gaps: Array,
+        parts: Indices,
+        around: ObstacleSnapshot,
     ) -> PlanVerdict:
-        """Return the verdict on gaps (k, parts, M) to obstacles at times and places (k,)."""
+        """Return the verdict on gaps (k, M) of nearest parts at times and places (k,)."""
         o, standing = self._options, len(around.standing)
-        gaps = of_parts.min(axis=1)
         if not gaps.shape[1]:
             return PlanVerdict(None, math.inf, math.inf, math.inf)
 
         def obstacle(k: int, index: int) -> Obstruction:
             cause = Cause.STANDING if index < standing else Cause.MOVING
-            part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
+            part = self._gaps.part_name(int(parts[k, index]))
             return Obstruction(cause, float(places[k]), part, around.labels()[index])
 
         # What is touched already counts for the gap alone: who leaves it must not touch others.
