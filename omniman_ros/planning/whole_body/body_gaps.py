@@ -31,7 +31,7 @@ FAR = 10.0  #: Gap of a row that constrains nothing [m]
 #: Gap beyond which that to the disc around an obstacle stands for the true one [m]
 NEAR = 0.3
 #: Number of standing obstacles at each configuration whose gaps are computed at first
-FIRST_TRIED = 8
+FIRST_TRIED = 12
 SAME_HEIGHT = 1e-6  #: Change of a height that is round-off [m]
 OWN, STANDING, MOVING = range(3)
 """Kinds of gaps: between parts of the robot, to what stands, to what moves."""
@@ -180,19 +180,21 @@ class BodyGaps:
         """Return the gaps (k, M) to obstacles [m], and the numbers (k, M) of the nearest parts.
 
         The centres (k, S, 3) of the spheres are in base_link at poses (k, 3) and ages (k,) [s]. A
-        gap to what stands that is above a reach [m] may be a lower bound above it, with part 0.
+        gap that is above a reach [m] may be a lower bound above it, with part 0; also one to what
+        moves, less its growth.
         """
-        points = np.moveaxis(in_odom(poses, centre), -1, 0)
+        points, moving = np.moveaxis(in_odom(poses, centre), -1, 0), around.moving
         bounds = self._bounds(poses, points, around.standing, reach)
-        is_near = np.ones((len(poses), len(around.standing) + len(around.moving)), dtype=bool)
-        is_near[:, : bounds.shape[1]] = ~(bounds > reach)
-        gaps, parts = np.empty(is_near.shape), np.zeros(is_near.shape, dtype=np.intp)
-        gaps[:, : bounds.shape[1]] = bounds
+        places = moving.obstacles.centre[:, None] + ages[:, None] * moving.velocity[:, None]
+        of_moving = self._disc_bounds(poses, points, places, _extent(moving.obstacles))
+        growth = around.growth * (ages - ages.min())[:, None]
+        is_near = np.hstack([~(bounds > reach), ~(of_moving - growth > reach)])
+        gaps, parts = np.hstack([bounds, of_moving]), np.zeros(is_near.shape, dtype=np.intp)
         at, number = np.nonzero(is_near)
         if len(at):
             near = around.placed(ages[at], number[:, None])
             platform = self.platform(poses[at], near)[:, 0]
-            spheres = point_gap_values(_expanded(near, -2), points[:, at])[..., 0]
+            spheres = point_gap_values(_for_spheres(near), points[:, at])[..., 0]
             spheres -= self.spheres.radius
             nearest = spheres.argmin(axis=1)
             arm = np.take_along_axis(spheres, nearest[:, None], axis=1)[:, 0]
@@ -217,7 +219,9 @@ class BodyGaps:
         Obstacles count as discs without heights. Those that are beyond a reach [m] of all that
         the body passes have one bound. NaN, out of the arm's reach, is left out.
         """
-        extent = np.hypot(*obstacles.half) + obstacles.rounding
+        if not len(obstacles):
+            return np.zeros((len(poses), 0))
+        extent = _extent(obstacles)
         size, sides = self.spheres.radius.max(), (np.fmin, np.fmax)
         low, high = (
             side(
@@ -232,14 +236,20 @@ class BodyGaps:
         near = np.flatnonzero(~(apart > reach))
         if not len(near):
             return result
+        centre = obstacles.centre[:, near]
+        result[:, near] = self._disc_bounds(poses, points, centre, extent[near])
+        return result
+
+    def _disc_bounds(self, poses: Array, points: Array, centre: Array, extent: Array) -> Array:
+        """Return what `_bounds` does to discs with centres (2, M) or (2, k, M) and radii (M,)."""
         origin = poses[0, :2]
         level = np.moveaxis(points[:2], 0, -1) - origin
-        centre = obstacles.centre[:, near] - origin[:, None]
-        square = (level * level).sum(axis=-1)[..., None] - 2.0 * (level @ centre)
-        least = np.fmin.reduce(square, axis=1) + (centre * centre).sum(axis=0)
-        arm = np.sqrt(np.maximum(least, 0.0)) - size
-        found = [_depth(each, poses, obstacles.centre[:, near]) for each in self.rectangles]
-        result[:, near] = np.fmin(np.min(found, axis=0), arm) - extent[near]
+        apart = np.moveaxis(centre, 0, -2) - origin[:, None]  # (..., 2, M)
+        square = (level * level).sum(axis=-1)[..., None] - 2.0 * (level @ apart)
+        least = np.fmin.reduce(square, axis=1) + (apart * apart).sum(axis=-2)
+        arm = np.sqrt(np.maximum(least, 0.0)) - self.spheres.radius.max()
+        platform = np.min([_depth(each, poses, centre) for each in self.rectangles], axis=0)
+        result: Array = np.fmin(platform, arm) - extent
         return result
 
     # ---- with derivatives, for the program --------------------------------------------------
@@ -328,7 +338,7 @@ class BodyGaps:
             rectangle_gaps(obstacles, each.poses(poses), each.half, self.heights)
             for each in self.rectangles
         ]
-        distance = point_gap_values(_expanded(obstacles, -2), points)
+        distance = point_gap_values(_for_spheres(obstacles), points)
         distance -= self.spheres.radius[:, None]
         nearest = np.stack(
             [first + distance[:, first:end].argmin(axis=1) for first, end in self._of_part],
@@ -396,10 +406,10 @@ class BodyGaps:
         )
 
 
-def _expanded(obstacles: UprightObstacles, axis: int) -> UprightObstacles:
-    """Return obstacles whose arrays have one more axis."""
+def _for_spheres(obstacles: UprightObstacles) -> UprightObstacles:
+    """Return obstacles with arrays (..., k, M) for spheres, which have an axis before M."""
     return UprightObstacles.unchecked(
-        **{name: np.expand_dims(value, axis) for name, value in vars(obstacles).items()}
+        **{name: value[..., None, :] for name, value in vars(obstacles).items()}
     )
 
 
@@ -412,8 +422,14 @@ def in_odom(poses: Array, points: Array) -> Array:
     )
 
 
+def _extent(obstacles: UprightObstacles) -> Array:
+    """Return the radii (M,) of discs that contain obstacles [m]."""
+    result: Array = np.hypot(*obstacles.half) + obstacles.rounding
+    return result
+
+
 def _depth(rectangle: Rectangles, poses: Array, points: Array) -> Array:
-    """Return the signed distances (k, M) of points (2, M) from a rectangle at poses (k, 3)."""
+    """Return signed distances (k, M) of points (2, M) or (2, k, M) from a rectangle at k poses."""
     at = rectangle.poses(poses)
     c, s = np.cos(at[:, 2, None]), np.sin(at[:, 2, None])
     x, y = points[0] - at[:, 0, None], points[1] - at[:, 1, None]

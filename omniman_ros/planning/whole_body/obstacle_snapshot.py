@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -86,7 +87,7 @@ class ObstacleSnapshot(Validated):
             names=(*still, *fixed_names, *walking),
         )
 
-    @property
+    @cached_property
     def velocities(self) -> Array:
         """Velocities (2, M) of all obstacles, the standing ones first [m/s]."""
         return np.hstack([np.zeros((2, len(self.standing))), self.moving.velocity])
@@ -96,8 +97,13 @@ class ObstacleSnapshot(Validated):
 
         All arrays of the result are (..., k, n).
         """
-        chosen = UprightObstacles.join([self.standing, self.moving.obstacles]).select(numbers)
+        chosen = self._everything.select(numbers)
         return chosen.placed(chosen.centre + ages[:, None] * self.velocities[:, numbers])
+
+    @cached_property
+    def _everything(self) -> UprightObstacles:
+        """All obstacles at their time, the standing ones first."""
+        return UprightObstacles.join([self.standing, self.moving.obstacles])
 
     def slowed(self, time: float, pace: float) -> "ObstacleSnapshot":
         """Return the same in the motion time of a robot at a pace, in which what moves is faster.
@@ -108,8 +114,14 @@ class ObstacleSnapshot(Validated):
         moving = MovingObstacles.unchecked(
             obstacles=self.moving.obstacles, velocity=self.moving.velocity / pace
         )
-        changed = {"time": time, "moving": moving, "growth": self.growth / pace, "pace": pace}
-        return ObstacleSnapshot.unchecked(**{**vars(self), **changed})
+        return ObstacleSnapshot.unchecked(
+            time=time,
+            standing=self.standing,
+            moving=moving,
+            growth=self.growth / pace,
+            pace=pace,
+            names=self.names,
+        )
 
     def standing_near(self, place: Array, reach: float) -> Indices:
         """Return the numbers of those that stand within a reach [m] of a place (2,), or more."""

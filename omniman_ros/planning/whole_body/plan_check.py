@@ -81,6 +81,7 @@ class PlanCheck:
         self._redundancy, self._gaps, self._margins = redundancy, gaps, margins
         self._balance = balance
         self._limits, self._options = limits, options
+        self._reach = max(NEAR, options.clearance, options.moving_clearance)
         self.radius = gaps.radius  #: Distance of the platform's farthest point from its centre [m]
 
     def judge(
@@ -108,10 +109,10 @@ class PlanCheck:
         z, index = np.concatenate([each[1] for each in samples]), np.concatenate(seen)
         q = self._redundancy.axes(z)
         placed = self._gaps.spheres.place(q[:, 3:])
-        own = self._gaps.own(placed)
+        own, masses = self._gaps.own(placed), self._balance.arm_centres(placed.frames)
         ages = np.concatenate([each[0] for each in samples]) - around.time
         gaps, parts = self._gaps.to_obstacles(
-            z[index, :3], placed.centre[index], around, ages, NEAR
+            z[index, :3], placed.centre[index], around, ages, self._reach
         )
         verdicts, begin, first = [], 0, 0
         for times, at, rates in samples:
@@ -120,7 +121,7 @@ class PlanCheck:
             found = (
                 self._impossible(times, at, rates, q[mine])
                 or self._too_near_itself(at, placed, own[mine], mine.start)
-                or self._tips_over(times, at, placed.frames[mine])
+                or self._tips_over(times, at, masses[mine])
             )
             if found is not None:
                 fault, k = found
@@ -147,11 +148,14 @@ class PlanCheck:
         parts = self._gaps.nearest_own(placed, begin + k)
         return Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts), k
 
-    def _tips_over(self, times: Array, z: Array, frames: Array) -> tuple[Obstruction, int] | None:
-        """Return that the robot would be too close to tipping over, and the sample; or None."""
-        at_rest = self._balance.rest_margin(frames[0])
+    def _tips_over(self, times: Array, z: Array, arm: Array) -> tuple[Obstruction, int] | None:
+        """Return that the robot would be too close to tipping over, and the sample; or None.
+
+        The arm's centres of mass are (k, 3) [m].
+        """
+        at_rest = self._balance.rest_margin(arm[0])
         least = min(self._options.tip_over_margin, REST_FRACTION * at_rest)
-        is_low = self._balance.margins(times[: len(z)], z[:, :3], frames) < least
+        is_low = self._balance.margins(times[: len(z)], z[:, :3], arm) < least
         if not is_low.any():
             return None
         k = 1 + int(is_low.argmax())
