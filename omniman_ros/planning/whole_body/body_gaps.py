@@ -301,7 +301,7 @@ class BodyGaps:
         """Return gaps at poses (k, 3), among them all of the `count` smallest within a reach [m].
 
         The nearest obstacles by the bounds are looked at first, then more of them, until no other
-        one can have a smaller gap. Own gaps (k, o) are smaller ones, too.
+        one can have a smaller gap. Own gaps (k, o) count among the smallest.
         """
         points, still = np.moveaxis(centre, -1, 0), len(around.standing)
         bounds = self._bounds(poses, points, around.standing, reach)
@@ -310,7 +310,8 @@ class BodyGaps:
         moving = np.tile(still + np.arange(len(around.moving)), (len(ages), 1))
         blocks = len(self.rectangles) + len(self._of_part)
         is_few = own.shape[1] + blocks * (len(near) + moving.shape[1]) <= count
-        tried = len(near) if is_few else min(FIRST_TRIED, len(near))
+        enough = max(FIRST_TRIED, count // blocks + 1)  # as many gaps as rows, at least
+        tried = len(near) if is_few else min(enough, len(near))
         order = np.argsort(bounds, axis=1)
         while True:
             numbers = np.hstack([near[np.sort(order[:, :tried], axis=1)], moving])

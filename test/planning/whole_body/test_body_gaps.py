@@ -68,10 +68,10 @@ def test_the_gap_is_that_of_the_nearest_part_to_each_obstacle_where_it_is_then(s
     assert (parts[:, :still] == 0).any() and (parts[:, :still] > 0).any()
 
 
-@pytest.mark.parametrize("tried", [1, 4, 100])
+@pytest.mark.parametrize(("tried", "count"), [(1, 16), (4, 16), (100, 16), (1, 400)])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_nearest_rows_are_the_same_however_many_obstacles_are_tried_first(
-    seed, tried, monkeypatch
+    seed, tried, count, monkeypatch
 ):
     around = mixed(seed)
     redundancy = ToolRedundancy(MODEL, HeldTool(MODEL.forward(START)), START[3:])
@@ -79,9 +79,9 @@ def test_the_nearest_rows_are_the_same_however_many_obstacles_are_tried_first(
     at, ages = redundancy.configurations(z), np.linspace(0.1, 0.8, 8)
     every = GAPS.rows(at, around, ages, 50.0, 1000)
     monkeypatch.setattr("omniman_ros.planning.whole_body.body_gaps.FIRST_TRIED", tried)
-    found = GAPS.rows(at, around, ages, 50.0, 16)
+    found = GAPS.rows(at, around, ages, 50.0, count)
     for k in range(8):
-        order = np.argsort(every.gap[k])[:16]
+        order = np.argsort(every.gap[k])[:count]
         mine = np.argsort(found.gap[k])
         assert found.gap[k, mine] == pytest.approx(every.gap[k, order], abs=1e-12)
         assert found.slope[k, mine] == pytest.approx(every.slope[k, order], abs=1e-9)
