@@ -240,7 +240,8 @@ class FixedPosture:
         assert self._led is not None and self._motion is not None
         times = np.minimum(self._led.pace.motion(now) + AHEAD, self._motion.end)
         moves = self._motion.planned(times)[0]
-        seen = around.placed(AHEAD).centre  # (2, k, M)
+        count = len(around.standing) + len(around.moving)
+        seen = around.placed(AHEAD, np.tile(np.arange(count), (len(AHEAD), 1))).centre  # (2, k, M)
         numbers = [int(label.rpartition(" ")[2]) for label in around.labels()]
         for k, axes in enumerate(moves):
             places = np.full((self._count, 2), UNSEEN)

@@ -248,13 +248,14 @@ class _WaySearch:
         if not len(self._around.standing):
             return
         placed = self._gaps.spheres.place(self.goal[None, JOINT_COLUMNS])
-        standing = self._around.placed(np.zeros(1))
-        gaps = self._gaps.to_obstacles(
-            self.goal[None, PLATFORM_COLUMNS], placed.centre, standing, 0
+        standing = ObstacleSnapshot(standing=self._around.standing)
+        gaps, parts = self._gaps.to_obstacles(
+            self.goal[None, PLATFORM_COLUMNS], placed.centre, standing, np.zeros(1), math.inf
         )
-        part, obstacle = divmod(int(gaps[0].argmin()), gaps.shape[2])
-        if gaps[0, part, obstacle] < self._setup.dodge.clearance:
-            name, other = self._gaps.part_name(part), self._around.labels()[obstacle]
+        obstacle = int(gaps[0].argmin())
+        if gaps[0, obstacle] < self._setup.dodge.clearance:
+            name = self._gaps.part_name(int(parts[0, obstacle]))
+            other = self._around.labels()[obstacle]
             found = Obstruction(Cause.STANDING, 0.0, name, other)
             raise NoPathError(f"at the goal, {found.reason}", found)
 

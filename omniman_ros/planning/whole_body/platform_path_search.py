@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
@@ -66,6 +67,8 @@ FREE_TRAVEL = 6.0  #: Weight of its change from layer to layer [1/rad^2]
 #: revolution away from its start
 JUMP = math.pi
 OWN_GAP = 0.0  #: Gap between the spheres of the robot's parts, which are larger than these [m]
+
+Choices = NDArray[np.int16]  #: Numbers of the steps from layer to layer, on the grid
 
 
 @dataclass(frozen=True)
@@ -402,7 +405,7 @@ class _Grid:
         x, y, h = np.meshgrid(self.x, self.y, self.heading, indexing="ij")
         self.poses: Array = np.stack((x, y, h), axis=-1).reshape(-1, 3)
 
-    def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Indices]:
+    def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Choices]:
         """Return the least costs after a step from one layer to the next, and the choices.
 
         The frames before and after are x, y and psi (3,) of the tool.
@@ -413,15 +416,15 @@ class _Grid:
         for k in range(-SHIFTS, SHIFTS + 1):
             shifted = np.roll(cost, k, axis=2) + o.turn * (k * self._turn + turn) ** 2
             is_less = shifted < turned
-            turned[is_less] = shifted[is_less]
-            by_heading[is_less] = k + SHIFTS
+            np.copyto(turned, shifted, where=is_less)
+            np.copyto(by_heading, k + SHIFTS, where=is_less)
         # Where a platform that stands would be in the next layer's frame.
         stay = _relative(after, _carried(before, np.zeros(3)))
         c, s = math.cos(stay[2]), math.sin(stay[2])
         x, y = np.meshgrid(self.x, self.y, indexing="ij")
         ex = x - (c * x - s * y + stay[0])
         ey = y - (s * x + c * y + stay[1])
-        best, choice = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.intp)
+        best, choice = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.int16)
         for a in range(-SHIFTS, SHIFTS + 1):
             for b in range(-SHIFTS, SHIFTS + 1):
                 travel = o.travel * ((ex + a * o.grid) ** 2 + (ey + b * o.grid) ** 2)
@@ -430,9 +433,9 @@ class _Grid:
                 tried = turned[from_x, from_y] + travel[from_x, from_y, None]
                 target, chosen = best[to_x, to_y], choice[to_x, to_y]
                 is_less = tried < target
-                target[is_less] = tried[is_less]
-                code = ((a + SHIFTS) * span + b + SHIFTS) * span
-                chosen[is_less] = code + by_heading[from_x, from_y][is_less]
+                np.copyto(target, tried, where=is_less)
+                code = np.int16(((a + SHIFTS) * span + b + SHIFTS) * span)
+                np.copyto(chosen, by_heading[from_x, from_y] + code, where=is_less)
         return best, choice
 
 
@@ -445,7 +448,7 @@ def _overlap(shift: int, count: int) -> tuple[slice, slice]:
 
 
 def _traced(
-    grid: _Grid, cost: Array, choices: list[Indices], upright: Array, start: Array
+    grid: _Grid, cost: Array, choices: list[Choices], upright: Array, start: Array
 ) -> Array:
     """Return the poses (n + 1, 3) of the way with the least cost, headings going on."""
     span = 2 * SHIFTS + 1
