@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from omniman_ros.demo import legs
-from omniman_ros.demo.demo import judge
+from omniman_ros.demo.demo import judge, load_demo
 from omniman_ros.demo.figures import (
     DrivenGoal,
     DrivenStop,
+    DrivenTool,
     Reference,
     TwistPhase,
     arm_figures,
@@ -18,6 +19,7 @@ from omniman_ros.demo.figures import (
     goal_figures,
     interval_figures,
     stop_figures,
+    tool_clearance,
     tool_figures,
     tool_track,
     tracking_figures,
@@ -28,6 +30,7 @@ from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People, Perception
 from omniman_ros.demo.recorder import DemoRecording
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel, planar_transform
+from omniman_ros.simulation.world.scene import Post
 from test.demo.samples import (
     MOVEMENTS,
     START,
@@ -165,6 +168,24 @@ def test_only_the_error_by_the_ground_truth_includes_the_drift():
     assert offset["max_mm"] == pytest.approx(5.0, abs=0.1)
     drifted = tool_figures(tool_track(led_tool(drift=0.002), MODEL, LED))
     assert drifted["max_mm"] < 0.1 and drifted["true_max_mm"] == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("where", ["beside", "ahead"])
+def test_the_clearance_of_the_tools_path_is_that_of_the_true_body_from_post_and_person(where):
+    pytest.importorskip("mujoco", reason="it measures the gaps")
+    demo, track = load_demo("omniman"), tool_track(led_tool(drift=0.1), MODEL, LED)
+    # A post that the platform leaves on its left, and a person at the tool's end.
+    beside = track.truth[0] + planar_transform(track.truth[0])[:3, :3] @ [0.0, 0.85, 0.0]
+    true = planar_transform(track.truth[-1]) @ np.linalg.inv(planar_transform(track.platform[-1]))
+    ahead = true @ [*track.measured[-1], 1.0]
+    posts = [Post(name="post", x=beside[0], y=beside[1], radius=0.2)] if where == "beside" else []
+    person = np.array([[*ahead[:2], 0.25]])
+    away = person + [[9.0, 0.0, 0.0]]
+    reports = [(0.0, away), (LED.end - 0.1, away), (LED.end, person)]
+    people = People(reports[:2] if where == "beside" else reports)
+    driven = DrivenTool(LED, posts, people)
+    gap = tool_clearance(track, demo.description, driven)
+    assert gap == pytest.approx(0.3 if where == "beside" else 0.0, abs=0.005)
 
 
 # ---- goal -----------------------------------------------------------------------------------
