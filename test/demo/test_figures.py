@@ -170,22 +170,27 @@ def test_only_the_error_by_the_ground_truth_includes_the_drift():
     assert drifted["max_mm"] < 0.1 and drifted["true_max_mm"] == pytest.approx(4.0, abs=0.2)
 
 
-@pytest.mark.parametrize("where", ["beside", "ahead"])
-def test_the_clearance_of_the_tools_path_is_that_of_the_true_body_from_post_and_person(where):
+def test_the_clearance_on_the_tools_path_is_that_of_the_true_body():
     pytest.importorskip("mujoco", reason="it measures the gaps")
-    demo, track = load_demo("omniman"), tool_track(led_tool(drift=0.1), MODEL, LED)
-    # A post that the platform leaves on its left, and a person at the tool's end.
-    beside = track.truth[0] + planar_transform(track.truth[0])[:3, :3] @ [0.0, 0.85, 0.0]
-    true = planar_transform(track.truth[-1]) @ np.linalg.inv(planar_transform(track.platform[-1]))
-    ahead = true @ [*track.measured[-1], 1.0]
-    posts = [Post(name="post", x=beside[0], y=beside[1], radius=0.2)] if where == "beside" else []
-    person = np.array([[*ahead[:2], 0.25]])
-    away = person + [[9.0, 0.0, 0.0]]
-    reports = [(0.0, away), (LED.end - 0.1, away), (LED.end, person)]
-    people = People(reports[:2] if where == "beside" else reports)
-    driven = DrivenTool(LED, posts, people)
-    gap = tool_clearance(track, demo.description, driven)
-    assert gap == pytest.approx(0.3 if where == "beside" else 0.0, abs=0.005)
+    description, track = (
+        load_demo("omniman").description,
+        tool_track(led_tool(drift=0.1), MODEL, LED),
+    )
+
+    def clearance(posts, *reports):
+        return tool_clearance(track, description, DrivenTool(LED, posts, People([*reports])))
+
+    # A post that the platform leaves on its left, and a person whom the tool meets in the end.
+    x, y, _ = track.truth[0] + planar_transform(track.truth[0])[:3, :3] @ [0.0, 0.85, 0.0]
+    post = Post(name="post", x=x, y=y, radius=0.2)
+    assert clearance([post], (0.0, np.zeros((0, 3)))) == pytest.approx(0.3, abs=0.005)
+    to_world = planar_transform(track.truth) @ np.linalg.inv(planar_transform(track.platform))
+    met = to_world[-1] @ [*track.measured[-1], 1.0]
+    person = np.array([[met[0], met[1], 0.25]])
+    away = person + [[2.0, 0.0, 0.0]]
+    assert clearance([], (0.0, away), (LED.end, away)) > 0.5
+    late = LED.end - 0.2
+    assert clearance([], (0.0, away), (late - 0.1, away), (late, person), (LED.end, person)) < 0.0
 
 
 # ---- goal -----------------------------------------------------------------------------------
