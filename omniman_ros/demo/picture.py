@@ -179,8 +179,9 @@ def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
         arrow = {"arrowstyle": "->", "color": TRACK, "lw": 1.0}
         axes.annotate("", xy=(-y - vy, x + vx), xytext=(-y, x), arrowprops=arrow, zorder=3)
     x, y = odom[:, 1], odom[:, 2]
-    axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND)
-    axes.set_ylim(x.min() - AROUND, x.max() + AROUND)
+    # With auto, matplotlib does not warn that it widens one of them for the aspect.
+    axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND, auto=True)
+    axes.set_ylim(x.min() - AROUND, x.max() + AROUND, auto=True)
 
 
 def _draw_outline(axes: Any, robot: Platform, pose: Array, **options: Any) -> None:
