@@ -19,8 +19,9 @@ The public names, each imported when it is first used:
 * Motions along given paths: `PathInterpolator`; `JointInterpolator`, `JointPlanner` and
   `AxisLimits`; `ToolPlanner`; `ArmModel`, `WholeBodyModel`; `Preview` and `HermiteTrajectory`.
 * Planning among obstacles, MPC 2021 and beyond: `Planner` with `MeasuredState`, `PoseGoal`,
-  `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask` and
-  `tool_goal_task` with `ObstacleSnapshot`, `MovingObstacles` and `UprightObstacles`. Need casadi.
+  `StateGoal`, `TrajectoryGoal`, `Ellipses` and `GridMap`; `WholeBodyTask`,
+  `tool_goal_task` and `JointGoalTask` with `ObstacleSnapshot`, `MovingObstacles`,
+  `UprightObstacles` and `OrientationFreedom`. Need casadi.
 * Simulation: `SimulatedDrives` on a plant, or in a `World` of physics, which needs mujoco-core,
   with a `Scene` of `Wall`, `Post`, `Table` and `Person`, or one by `load_scene`, and a `Scanner`.
 * Drives on a CAN bus: `CanDrives` by `CanParameters`; `DriveAxis` with `AxisState`, `Demand` and
@@ -96,8 +97,12 @@ if TYPE_CHECKING:
     from omniman_ros.planning.obstacles.ellipses import Ellipses as Ellipses
     from omniman_ros.planning.obstacles.grid_map import GridMap as GridMap
     from omniman_ros.planning.planner import Planner as Planner
+    from omniman_ros.planning.whole_body.joint_goal import JointGoalTask as JointGoalTask
     from omniman_ros.planning.whole_body.obstacle_snapshot import (
         ObstacleSnapshot as ObstacleSnapshot,
+    )
+    from omniman_ros.planning.whole_body.parameters import (
+        OrientationFreedom as OrientationFreedom,
     )
     from omniman_ros.planning.whole_body.task import WholeBodyTask as WholeBodyTask
     from omniman_ros.planning.whole_body.tool_goal import tool_goal_task as tool_goal_task
@@ -154,7 +159,9 @@ _PUBLIC = {
     "planning.obstacles.ellipses": ("Ellipses",),
     "planning.obstacles.grid_map": ("GridMap",),
     "planning.planner": ("Planner",),
+    "planning.whole_body.joint_goal": ("JointGoalTask",),
     "planning.whole_body.obstacle_snapshot": ("ObstacleSnapshot",),
+    "planning.whole_body.parameters": ("OrientationFreedom",),
     "planning.whole_body.task": ("WholeBodyTask",),
     "planning.whole_body.tool_goal": ("tool_goal_task",),
     "recording.recordings": ("read_recording", "write_recording"),
@@ -171,6 +178,7 @@ _MODULES = {name: module for module, names in _PUBLIC.items() for name in names}
 #: Names whose modules need an optional library, by the name of it in `extras`
 _OF_EXTRAS = {
     "CanDrives": "CAN",
+    "JointGoalTask": "PLANNING",
     "Planner": "PLANNING",
     "RobotLog": "RECORDING",
     "SimulatedBus": "CAN",

@@ -23,7 +23,12 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.nodes.registry import unknown_names
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, BodySetup, led_tool
+from omniman_ros.planning.whole_body.parameters import (
+    AvoidanceOptions,
+    BodySetup,
+    OrientationFreedom,
+    led_tool,
+)
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.parameters import WorldParameters
@@ -43,6 +48,7 @@ class RobotModel:
     tool_paths: ToolPathOptions  #: For `ToolPlanner`
     planner: PlannerParameters  #: For `Planner`
     avoidance: AvoidanceOptions  #: For `WholeBodyTask`, in `whole_body_setup`
+    orientation: OrientationFreedom  #: The same
     tool: ToolShape  #: Shape of the tool at the flange
     load: LoadShape  #: Shape of what lies on the platform
     description: DescriptionParameters  #: Shape of the robot, and its URDF
@@ -72,6 +78,7 @@ class RobotModel:
             tool_paths=build(ToolPathOptions, values, "tool_path."),
             planner=build(PlannerParameters, values),
             avoidance=build(AvoidanceOptions, values, "dodge."),
+            orientation=build(OrientationFreedom, values, "orientation."),
             tool=build(ToolShape, values, "tool."),
             load=build(LoadShape, values, "load."),
             description=build(DescriptionParameters, values),
@@ -135,6 +142,7 @@ class RobotModel:
             self.load if self.load.is_carried else None,
             led_tool(self.tool_paths),
             self.avoidance,
+            self.orientation,
         )
 
 

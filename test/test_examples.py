@@ -35,6 +35,7 @@ FIGURES = {
     "11_drive_protocol": {"at_rest": (0.3, 0.6)},
     "12_canopen_master": {"fastest": (20.0, 21.0), "turns": (29.5, 30.3)},
     "13_tool_goal_behind_a_wall": {"length": (4.5, 6.5), "off": (0.0, 1e-6)},
+    "14_joint_goal_through_a_door": {"off": (0.0, 1e-6), "arm_at_the_door": (0.0, 0.1)},
 }
 
 

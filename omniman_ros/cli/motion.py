@@ -28,9 +28,12 @@ def run(args: argparse.Namespace) -> int:
     with interrupt_on_signals(), Robot(args.namespace) as robot:
         handle = None
         try:
-            is_around = args.command == "tool" and args.around
-            needs = ("tool_goal",) if is_around else (args.command,)
-            robot.wait_until_ready(READY_TIMEOUT, needs=needs)
+            need = args.command
+            if need == "tool" and args.around:
+                need = "tool_goal"
+            elif need == "goal" and args.joints:
+                need = "joint_goal"
+            robot.wait_until_ready(READY_TIMEOUT, needs=(need,))
             progress.begin(args.command)
             handle = send_goal(robot, args) if args.command == "goal" else send_tool(robot, args)
             follow(handle, args.timeout, progress)
@@ -54,6 +57,8 @@ def send_goal(robot: Robot, args: argparse.Namespace) -> MotionHandle:
     distance = math.hypot(x - here.x, y - here.y)
     if distance > FAR:
         say(f"note: the goal is {distance:.0f} m away; it is cancelled after {args.timeout:g} s")
+    if args.joints:
+        return robot.move_body(x, y, heading, [math.radians(angle) for angle in args.joints])
     return robot.go_to(x, y, heading)
 
 

@@ -78,7 +78,7 @@ class MotionHandle:
 
     Attributes:
         name: What the motion is, for messages.
-        kind: `goal`, `path`, `arm`, `tool` or `tool_goal`.
+        kind: `goal`, `path`, `arm`, `tool`, `tool_goal` or `joint_goal`.
         node: Full name of the node that reports on it; empty before the first report.
     """
 

@@ -19,6 +19,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.planar import Triple
+from omniman_ros.motion.axes import PLATFORM_AXES
 
 FRAME = "odom"  #: Frame in which poses are given unless another is named
 BASE_FRAME = "base_link"  #: Frame of twists
@@ -168,6 +169,27 @@ def joint_motion(
             raise ParameterError("duration", duration, f"must be at least {SHORTEST_MOVE:g} s")
         point.time_from_start = duration_message(seconds)
     return JointTrajectory(joint_names=list(target), points=[point])
+
+
+def joint_goal(
+    x: Any,
+    y: Any,
+    heading: Any,
+    angles: Mapping[str, Any] | Sequence[Any],
+    names: Sequence[str],
+    frame: str,
+) -> JointTrajectory:
+    """Return a goal of the platform [m, m, rad] in a frame, and of the arm's joints [rad].
+
+    See :func:`joint_motion` for the angles, the names and the errors.
+    """
+    message = joint_motion(angles, names, None)
+    pose = [number("x", x, plausible.LENGTH), number("y", y, plausible.LENGTH)]
+    pose.append(number("heading", heading, plausible.ANGLE))
+    message.header.frame_id = frame
+    message.joint_names = [*PLATFORM_AXES, *message.joint_names]
+    message.points[0].positions = [*pose, *message.points[0].positions]
+    return message
 
 
 class RoundObstacle:

@@ -30,6 +30,7 @@ class MotionTopic:
     hint: str = ""  #: What starts these nodes, where they are no usual ones
 
 
+_OF_WHOLE_BODY = " (of `omniman up --whole-body-planner`)"
 INPUTS = {
     "goal": MotionTopic("goal_pose", PoseStamped, ("mpc_planner",)),
     "path": MotionTopic("path", Path, ("path_interpolator",)),
@@ -44,7 +45,14 @@ INPUTS = {
         PoseStamped,
         ("whole_body_planner",),
         "tool_pose",
-        " (of `omniman up --whole-body-planner`)",
+        _OF_WHOLE_BODY,
+    ),
+    "joint_goal": MotionTopic(
+        "joint_goal",
+        JointTrajectory,
+        ("whole_body_planner",),
+        "arm/joint_states",
+        _OF_WHOLE_BODY,
     ),
 }  #: Inputs for motions, by their kind
 

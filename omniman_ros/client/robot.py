@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: What a robot is asked to be able to do unless something else is: `drive` by twists, `goal` for
 #: `go_to`, `path` for `follow`, `arm` for `move_joints`, `tool` for `move_tool`, `tool_goal` for
-#: `reach`
+#: `reach`, `joint_goal` for `move_body`
 USUAL_ABILITIES = ("drive", "goal", "path")
 READY_TIMEOUT = 15.0  #: Time within which a robot must be found [s]; it usually takes 0.2 s
 
@@ -117,7 +117,7 @@ class Robot:
         Args:
             timeout: Longest time to wait [s].
             needs: What the robot must be able to do: `drive`, `goal`, `path`, `arm`, `tool`,
-                `tool_goal`.
+                `tool_goal`, `joint_goal`.
 
         Raises:
             RobotTimeoutError: Something is still missing; the message names it.
@@ -308,6 +308,35 @@ class Robot:
 
         message = messages.tool_goal(x, y, z, orientation, frame)
         return self._link.send("tool_goal", f"goal of the tool ({x:g}, {y:g}, {z:g})", message)
+
+    def move_body(
+        self,
+        x: float,
+        y: float,
+        heading: float,
+        angles: "Mapping[str, float] | Sequence[float]",
+        *,
+        frame: str = "odom",
+    ) -> MotionHandle:
+        """Move the platform to a pose [m, m, rad] and the arm to joint angles [rad], together.
+
+        They go around what is in the way. It needs `whole_body_planner`, and begins as
+        :meth:`reach` does.
+
+        Args:
+            angles: As those of :meth:`move_joints`.
+
+        Raises:
+            InputError: A joint is unknown, or one is missing.
+            ParameterError: A number is not finite.
+            RobotTimeoutError: No `whole_body_planner` or no arm is there.
+        """
+        from omniman_ros.client import messages
+
+        self._link.require(("joint_goal",))
+        message = messages.joint_goal(x, y, heading, angles, tuple(self.joints.value), frame)
+        name = f"goal of platform and arm ({x:g}, {y:g}, {heading:g})"
+        return self._link.send("joint_goal", name, message)
 
     def follow_tool(self, poses: "ArrayLike", *, frame: str = "odom") -> MotionHandle:
         """Move the tool along a path that begins near it, with platform and arm in step.

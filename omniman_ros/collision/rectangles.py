@@ -52,7 +52,9 @@ class Rectangles(Validated):
         """Return the rectangles with some indices, or those of a mask; one stays as it is."""
         if self.is_single:
             return self
-        return Rectangles(self.centre[index], self.yaw[index], self.half[index])
+        return Rectangles.unchecked(
+            centre=self.centre[index], yaw=self.yaw[index], half=self.half[index]
+        )
 
     def each(self) -> list["Rectangles"]:
         """Return the rectangles of an array (P,) one by one."""

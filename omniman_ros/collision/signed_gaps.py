@@ -97,10 +97,10 @@ def rectangle_gap_derivative(
 ) -> tuple[Array, Array]:
     """Return what `rectangle_gaps` does, and the derivatives (..., M, 3) by the poses."""
     offsets = np.vstack((np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)))
-    placed = obstacles.placed(obstacles.centre[..., None, :])
-    around = rectangle_gaps(placed, poses[..., None, :] + offsets, half, heights)
-    slopes = (around[..., 1:4, :] - around[..., 4:, :]) / (2.0 * STEP)
-    return around[..., 0, :], np.swapaxes(slopes, -1, -2)
+    offsets = offsets.reshape(-1, *(1,) * (poses.ndim - 1), 3)
+    around = rectangle_gaps(obstacles, poses + offsets, half, heights)
+    slopes = (around[1:4] - around[4:]) / (2.0 * STEP)
+    return around[0], np.moveaxis(slopes, 0, -1)
 
 
 def _combined(level: Array, upright: Array) -> tuple[Array, Array]:

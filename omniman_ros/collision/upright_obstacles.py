@@ -117,6 +117,13 @@ class UprightObstacles(Validated):
         result: Array = np.sqrt(dot(outward, outward))
         return result
 
+    def nearest_points(self, points: Array) -> Array:
+        """Return the points (3, ..., M) of the obstacles nearest to points (3, ..., M) [m]."""
+        x, y, z = self._outward(self._local(points))
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        result: Array = points - np.stack((c * x - s * y, s * x + c * y, z))
+        return result
+
     def _outward(self, points: Array) -> Array:
         """Return vectors (3, ..., M) to points (3, ..., M) from the nearest of the obstacles."""
         result = np.empty(points.shape)

@@ -27,6 +27,7 @@ from omniman_ros.processes.other_robots import refuse_other_robots
 from omniman_ros.processes.process_group import ProcessExit, ProcessGroup, redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
+from omniman_ros.simulation.scene_files import load_scene
 
 #: Parameter value with which the robot continues when a wheel is dead
 DRIVE_ON = "drive.dead_wheel:=drive_on"
@@ -118,6 +119,7 @@ def demo_setup(args: argparse.Namespace) -> RobotSetup:
         sim_time=True,
         world=world,
         obstacle_tracker=world is not None and TRACKING.is_available,
+        whole_body_planner=args.arm != "none",
     )
 
 
@@ -169,7 +171,8 @@ def perform(
         CommandError, OmnimanError: The robot did not complete the demo.
     """
     has_arm = setup.arm != "none"
-    demo = load_demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
+    posts = load_scene(setup.world).posts if setup.world else ()
+    demo = load_demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker, posts=posts)
     with Session("omniman_demo", sim_time=True) as session:
         driver = DemoDriver(session, progress, group.check, setup.wheel_drive, has_arm)
         # It takes the timer of the driver's client, which keeps step with simulated time.

@@ -1,5 +1,6 @@
 """The demo of one robot: its legs in their order, and the evaluation of its result."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,25 +13,33 @@ from omniman_ros.demo import figures, legs
 from omniman_ros.demo.driver import DemoDriver
 from omniman_ros.demo.measures import Interval, violations
 from omniman_ros.demo.recorder import DemoRecording
-from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.robots import robot_parameters
+from omniman_ros.simulation.world.scene import Post
 
 
 @dataclass
 class Demo:
     """A robot, and what it has driven, leg by leg; legs that were not driven are empty or None."""
 
-    robot: Platform
+    description: DescriptionParameters  #: Shape of the robot
     pace: legs.DemoSpeeds
     model: WholeBodyModel | None  #: Platform and arm; None if the robot has no arm
-    by_scanner: bool  #: Whether it drives to the goal by its scanner, among a world's persons
+    by_scanner: bool  #: Whether it drives by its scanner, among the persons of a world
+    posts: Sequence[Post] = ()  #: Posts of that world
     twists: list[figures.TwistPhase] = field(default_factory=list)  #: Driven through `cmd_vel`
     movements: list[Interval] = field(default_factory=list)  #: Path of CCTA 2017, Fig. 7
     arm_moves: list[figures.ArmMove] = field(default_factory=list)
-    tool: Interval | None = None  #: Path of the tool
+    tool: figures.DrivenTool | None = None
     goal: figures.DrivenGoal | None = None
     dead_wheel: legs.DeadWheel | None = None
     stop: figures.DrivenStop | None = None
+
+    @property
+    def robot(self) -> Platform:
+        """Wheels and body."""
+        return self.description.robot
 
     @property
     def half_size(self) -> tuple[float, float]:
@@ -43,12 +52,19 @@ class Demo:
         return self.movements + ([self.dead_wheel.interval] if self.dead_wheel else [])
 
 
-def load_demo(robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> Demo:
+def load_demo(
+    robot: str,
+    has_arm: bool = True,
+    *,
+    by_scanner: bool = False,
+    posts: Sequence[Post] = (),
+) -> Demo:
     """Return the demo of a robot, given by its name or the path of its file."""
     parameters = robot_parameters(robot)
-    model = WholeBodyModel(build(Mount, parameters, "mount.")) if has_arm else None
+    description = build(DescriptionParameters, parameters)
+    model = WholeBodyModel(description.mount) if has_arm else None
     pace = legs.DemoSpeeds.within(build(TwistLimits, parameters, "limits."))
-    return Demo(build(Platform, parameters), pace, model, by_scanner)
+    return Demo(description, pace, model, by_scanner, posts)
 
 
 def drive(demo: Demo, driver: DemoDriver) -> None:
@@ -61,7 +77,7 @@ def drive(demo: Demo, driver: DemoDriver) -> None:
     demo.twists = legs.drive_twists(driver, demo.pace)
     demo.movements, demo.arm_moves = legs.drive_path(driver)
     if demo.model is not None:
-        demo.tool, move = legs.drive_tool(driver)
+        demo.tool, move = legs.drive_tool(driver, demo.posts)
         demo.arm_moves.append(move)
     demo.goal = legs.drive_to_goal(driver, demo.by_scanner)
     if wheel := expendable_wheel(demo.robot):
@@ -78,7 +94,11 @@ def judge(demo: Demo, recording: DemoRecording) -> dict[str, Any]:
         "coupling": figures.coupling_figures(recording.coupling, demo.movements),
     }
     if demo.model is not None and demo.tool:
-        result["tool"] = figures.tool_figures(figures.tool_track(recording, demo.model, demo.tool))
+        track = figures.tool_track(recording, demo.model, demo.tool.interval)
+        result["tool"] = figures.tool_figures(track)
+        if demo.tool.has_obstacles:
+            gap = figures.tool_clearance(track, demo.description, demo.tool)
+            result["tool"]["clearance_m"] = gap
     if demo.goal:
         truth = np.array(recording.truth)
         result["goal"] = figures.goal_figures(odom, truth, demo.goal, demo.half_size)

@@ -20,8 +20,10 @@ from omniman_ros.demo.measures import Interval
 from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People, Perception
 from omniman_ros.demo.recorder import DemoRecording, Row
+from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.planning.obstacles.separation import box_gap
+from omniman_ros.simulation.world.scene import Post
 
 TWIST_SETTLING = 1.0  #: Time after which the robot is to drive the commanded twist [s]
 SAME_TIME = 1e-3  #: Time difference below which two points of the reference are the same [s]
@@ -29,6 +31,9 @@ ARM_SETTLING = 1.0  #: Time after the start of a move from which on its errors a
 LAGS = np.arange(-0.1, 0.2, 0.002)  #: Candidates for the lag of the arm behind its reference [s]
 REST_SPEED = 0.01  #: Speed below which platform and arm count as at rest [m/s, rad/s]
 ARM_SPEED_STEP = 0.05  #: Time step of the difference quotient that gives the arm's speed [s]
+GAP_STEP = 5  #: Number of messages of the arm's angles for each measurement of gaps
+FAR = 3.0  #: Largest gap that is measured [m]
+HEIGHT = 2.0  #: Height up to which posts and persons count: the robot is lower [m]
 
 
 def rms(values: Array) -> float:
@@ -213,6 +218,20 @@ def arm_figures(recording: DemoRecording, moves: Sequence[ArmMove]) -> dict[str,
 
 
 @dataclass(frozen=True)
+class DrivenTool:
+    """A path of the tool that was driven past posts and persons, if there were any."""
+
+    interval: Interval  #: In which the tool was moved
+    posts: Sequence[Post]  #: In the frame of the ground truth
+    people: People
+
+    @property
+    def has_obstacles(self) -> bool:
+        """Whether there was a post or a person."""
+        return bool(len(self.posts) + len(self.people.radii))
+
+
+@dataclass(frozen=True)
 class ToolTrack:
     """Positions (k, 3) of the tool on its path [m], one for each message of the arm's angles."""
 
@@ -222,6 +241,8 @@ class ToolTrack:
     reference: Array  #: Tool on its path at these times, in odom
     errors: Array  #: Distances (k,) of the tool from its reference [m]
     true_errors: Array  #: The same by the ground truth, with odometry's drift since the start [m]
+    truth: Array  #: True poses (k, 3) of the platform [m, m, rad]
+    angles: Array  #: Measured joint angles (k, 6) [rad]
 
 
 def tool_track(recording: DemoRecording, model: WholeBodyModel, interval: Interval) -> ToolTrack:
@@ -240,7 +261,7 @@ def tool_track(recording: DemoRecording, model: WholeBodyModel, interval: Interv
     true = to_odom @ planar_transform(truth) @ in_base_link
     due = np.column_stack([np.interp(times, reference[:, 0], axis) for axis in reference[:, 1:].T])
     errors, true_errors = (np.linalg.norm(poses[:, :3, 3] - due, axis=1) for poses in (tool, true))
-    return ToolTrack(times, platform, tool[:, :3, 3], due, errors, true_errors)
+    return ToolTrack(times, platform, tool[:, :3, 3], due, errors, true_errors, truth, rows[:, 1:])
 
 
 def tool_figures(track: ToolTrack) -> dict[str, Any]:
@@ -257,6 +278,29 @@ def tool_figures(track: ToolTrack) -> dict[str, Any]:
         "time_s": float(track.times[-1] - track.times[0]),
         "samples": len(track.times),
     }
+
+
+def tool_clearance(
+    track: ToolTrack, description: DescriptionParameters, driven: DrivenTool
+) -> float:
+    """Return the least gap of platform and arm to posts and persons by the ground truth [m].
+
+    The physics engine measures it, every `GAP_STEP` messages of the arm; at most `FAR`.
+
+    Raises:
+        ImportError: The physics engine is not installed.
+    """
+    from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
+
+    people, standing = driven.people, np.array([(post.x, post.y) for post in driven.posts])
+    radii = [*(post.radius for post in driven.posts), *people.radii.tolist()]
+    things = [Prism((radius, radius), 0.0, (0.0, HEIGHT)) for radius in radii]
+    robot, least = ConfigurationDistances(description, things), FAR
+    for k in range(0, len(track.times), GAP_STEP):
+        places = np.vstack([standing.reshape(-1, 2), people.at(float(track.times[k]))])
+        robot.place(track.truth[k], track.angles[k], places)
+        least = min(least, float(robot.distances(least).min()))
+    return least
 
 
 def _poses_at(rows: Array, times: Array) -> Array:

@@ -5,6 +5,7 @@ or stops.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +16,12 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.driver import PAUSE, SERVICE_TIMEOUT, DemoDriver
-from omniman_ros.demo.figures import ArmMove, DrivenGoal, DrivenStop, TwistPhase
+from omniman_ros.demo.figures import ArmMove, DrivenGoal, DrivenStop, DrivenTool, TwistPhase
 from omniman_ros.demo.measures import Interval
 from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People
 from omniman_ros.motion.figure7 import Movement, movements
+from omniman_ros.simulation.world.scene import Post
 
 MAX_SPEED = 0.3  #: Largest linear speed of the twists [m/s]
 MAX_YAW_RATE = 0.8  #: Largest yaw rate of the twists [rad/s]
@@ -40,13 +42,14 @@ ARM_TIMEOUT = 10.0  #: Time within which the arm must have arrived [s]
 
 #: Joint angles for the tool's path: arm bent, tool pointing down in front of the robot [rad]
 START_ANGLES = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
-STRAIGHT = 1.2  #: Length of the straight at the start of the tool's path [m]
-RADIUS = 0.7  #: Radius of the left bend after the straight [m]
-BEND = math.pi  #: Angle of the left bend [rad]
+LENGTH = 3.0  #: Length of the tool's path, which seen from above is straight [m]
 WAVE_HEIGHT = 0.06  #: Height between the highest and the lowest point of the tool's path [m]
 WAVES = 2.0  #: Number of waves of its height
 
-#: Pose of the goal, beyond the obstacles, in the robot's frame at the start [m, m, rad]
+#: Pose of the goal in a world, in odom [m, m, rad]: the robot has evaded what is in its way, and
+#: stands here or there
+GOAL_IN_WORLD = (0.45, -4.5, -0.07)
+#: Pose of the goal elsewhere, beyond the obstacles, in the robot's frame at the start [m, m, rad]
 GOAL = (3.2, 0.3, 1.5707963)
 GOAL_TIMEOUT = 60.0  #: Time within which the goal must be reached [s]: persons hold the robot up
 NOTICE_TIME = 0.5  #: Time before the goal in which the robot hears of the obstacles [s]
@@ -155,10 +158,13 @@ def drive_path(driver: DemoDriver) -> tuple[list[Interval], list[ArmMove]]:
 # ---- a path of the tool, with platform and arm synchronised --------------------------------
 
 
-def drive_tool(driver: DemoDriver) -> tuple[Interval, ArmMove]:
+def drive_tool(driver: DemoDriver, posts: Sequence[Post] = ()) -> tuple[DrivenTool, ArmMove]:
     """Move the arm to its start angles, and the tool along the path from there.
 
-    The result is the interval in which the tool was moved, and the arm's move before it.
+    Platform and arm avoid the posts and persons of a world.
+
+    Returns:
+        The path of the tool, and the arm's move before it.
     """
     driver.progress.begin("arm to start pose")
     start = driver.now
@@ -167,9 +173,10 @@ def drive_tool(driver: DemoDriver) -> tuple[Interval, ArmMove]:
     move = ArmMove(START_ANGLES, start, driver.now)
     driver.progress.end(driver.note)
     positions = tool_positions(driver.robot.tool.value, driver.robot.pose.value.heading)
-    length = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    motion = driver.robot.follow_tool(positions)
-    return driver.arrive("tool path", motion, time_for(length)), move
+    with driver.record_perception() as perception:
+        motion = driver.robot.follow_tool(positions)
+        interval = driver.arrive("tool, obstacles", motion, time_for(LENGTH))
+    return DrivenTool(interval, posts, People.of(perception, interval.start)), move
 
 
 def tool_positions(start: Triple, heading: float) -> Array:
@@ -177,16 +184,13 @@ def tool_positions(start: Triple, heading: float) -> Array:
 
     Args:
         start: Position of the tool in odom [m].
-        heading: Direction of the straight in odom [rad].
+        heading: Direction of the path in odom [rad].
     """
-    length = STRAIGHT + RADIUS * BEND
-    s = np.linspace(0.0, length, math.ceil(length / SPACING) + 1)
-    angle = np.maximum(s - STRAIGHT, 0.0) / RADIUS
-    x = np.minimum(s, STRAIGHT) + RADIUS * np.sin(angle)
-    y = RADIUS * (1.0 - np.cos(angle))
-    z = 0.5 * WAVE_HEIGHT * (1.0 - np.cos(WAVES * math.tau * s / length))
+    x = np.linspace(0.0, LENGTH, math.ceil(LENGTH / SPACING) + 1)
+    z = 0.5 * WAVE_HEIGHT * (1.0 - np.cos(WAVES * math.tau * x / LENGTH))
     # The rotation about the vertical leaves z as it is.
-    result: Array = np.column_stack([x, y, z]) @ se2.rotation(heading) + np.array(start)
+    line = np.column_stack([x, np.zeros_like(x), z])
+    result: Array = line @ se2.rotation(heading) + np.array(start)
     return result
 
 
@@ -200,12 +204,13 @@ def drive_to_goal(driver: DemoDriver, by_scanner: bool) -> DrivenGoal:
     nobody else knows, and which cross its path.
     """
     robot, pose = driver.robot, driver.robot.pose.value
-    goal = to_odom(np.array([GOAL]), pose)[0]
     if by_scanner:
+        goal = np.array(GOAL_IN_WORLD)
         with driver.record_perception() as perception:
             interval = driver.arrive("goal, obstacles", robot.go_to(*goal), GOAL_TIMEOUT)
-        people = People(perception.people or [(interval.start, np.zeros((0, 3)))])
+        people = People.of(perception, interval.start)
         return DrivenGoal(goal, people, interval, perception)
+    goal = to_odom(np.array([GOAL]), pose)[0]
     obstacles = DemoObstacles.in_front_of(pose, driver.now + NOTICE_TIME)
     obstacles.show_to(robot, driver.now)
     driver.pause(NOTICE_TIME)

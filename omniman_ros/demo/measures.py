@@ -66,6 +66,7 @@ LIMITS = (
     Limit("arm.rms_mrad", "arm off its path, mrad", 10.0),
     Limit("tool.rms_mm", "tool off its path RMS, mm", 2.0),
     Limit("tool.max_mm", "tool off its path max, mm", 5.0),
+    Limit("tool.clearance_m", "clearance on the tool's path, m", 0.0, Bound.ABOVE),
     Limit("dead_wheel.noticed_s", "dead wheel noticed, s", 2.0),
     Limit("dead_wheel.rms_mm", "tracking without a wheel RMS, mm", 20.0),
     Limit("emergency_stop.rest_s", "at rest after an emergency stop, s", 1.0),

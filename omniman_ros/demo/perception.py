@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
@@ -82,6 +83,11 @@ class People:
         self._times = np.array([time for time, _ in reports])
         self._positions = np.array([rows[:, :2] for _, rows in reports])
         self.radii: Array = reports[0][1][:, 2]
+
+    @classmethod
+    def of(cls, perception: Perception, start: float) -> Self:
+        """Return the persons that were reported; nobody, from a ROS time [s] on, if none were."""
+        return cls(perception.people or [(start, np.zeros((0, 3)))])
 
     def at(self, time: float) -> Array:
         """Return the positions (M, 2) at a ROS time [s]."""

@@ -54,7 +54,9 @@ CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 def draw_demo(demo: Demo, recording: DemoRecording, path: Path) -> Path:
     """Draw the demo, driven and measured, into a file, and return the file's path."""
     odom = np.array(recording.odom)
-    tool = tool_track(recording, demo.model, demo.tool) if demo.model and demo.tool else None
+    tool = None
+    if demo.model and demo.tool:
+        tool = tool_track(recording, demo.model, demo.tool.interval)
     start = demo.twists[0].start
     with figure_style(axes_titlesize=10, legend_fontsize=9, lines_linewidth=1.2):
         below = 1 + bool(recording.arm) + (tool is not None)
@@ -91,9 +93,9 @@ def _draw_legend(axes: Any) -> None:
 
 def _driven_spans(demo: Demo) -> list[tuple[float, float]]:
     """Return the ROS times [s] between which the robot was driven."""
-    intervals = [*demo.path_intervals, demo.goal and demo.goal.interval, demo.tool]
+    motions = [motion.interval for motion in (demo.goal, demo.tool) if motion]
     return [(phase.start, phase.start + phase.duration) for phase in demo.twists] + [
-        (interval.start, interval.end) for interval in intervals if interval
+        (interval.start, interval.end) for interval in (*demo.path_intervals, *motions)
     ]
 
 
@@ -116,7 +118,7 @@ def _draw_top_view(
     ):
         axes.plot(-rows[:, 2], rows[:, 1], color=colour, label=name, **style)
     if tool is not None:
-        _draw_tool_path(axes, tool)
+        _draw_tool_path(axes, demo.robot, tool)
     for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
         _draw_outline(axes, demo.robot, odom[i, 1:4], alpha=0.5)
     _draw_robot(axes, demo.robot, odom[-1, 1:4])
@@ -129,13 +131,16 @@ def _draw_top_view(
     _draw_legend(axes)
 
 
-def _draw_tool_path(axes: Any, tool: ToolTrack) -> None:
-    """Draw the path of the tool, and lines to it from the platform."""
+def _draw_tool_path(axes: Any, robot: Platform, tool: ToolTrack) -> None:
+    """Draw the path of the tool, lines to it from the platform, and outlines of the platform."""
     x, y = tool.measured[:, :2].T
     axes.plot(-y, x, color=TOOL, lw=1.6, zorder=5.5, label="tool")
-    for k in np.linspace(0, len(x) - 1, TOOL_LINES).astype(int):
+    instants = np.linspace(0, len(x) - 1, TOOL_LINES).astype(int)
+    for k in instants:
         base = tool.platform[k]
         axes.plot([-base[1], -y[k]], [base[0], x[k]], color=TOOL, lw=0.6, alpha=0.5, zorder=5)
+    for k in instants[:: TOOL_LINES // 3]:
+        _draw_outline(axes, robot, tool.platform[k])
 
 
 def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
@@ -174,8 +179,9 @@ def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
         arrow = {"arrowstyle": "->", "color": TRACK, "lw": 1.0}
         axes.annotate("", xy=(-y - vy, x + vx), xytext=(-y, x), arrowprops=arrow, zorder=3)
     x, y = odom[:, 1], odom[:, 2]
-    axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND)
-    axes.set_ylim(x.min() - AROUND, x.max() + AROUND)
+    # With auto, matplotlib does not warn that it widens one of them for the aspect.
+    axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND, auto=True)
+    axes.set_ylim(x.min() - AROUND, x.max() + AROUND, auto=True)
 
 
 def _draw_outline(axes: Any, robot: Platform, pose: Array, **options: Any) -> None:

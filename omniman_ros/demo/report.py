@@ -28,6 +28,8 @@ tool on a path of {tool[length_m]:.1f} m: error, RMS / max \
 | {limit[tool.rms_mm]:g} / {limit[tool.max_mm]:g} mm
   by the ground truth (includes odometry's drift) \
 | {tool[true_rms_mm]:.2f} / {tool[true_max_mm]:.2f} mm |
+  smallest clearance of the body, by the ground truth \
+| {body[mm]:.0f} mm | above {limit[tool.clearance_m]:g}
 goal among obstacles, after {goal[time_s]:.1f} s: error \
 | {goal[position_mm]:.0f} mm, {goal[heading_deg]:.1f} deg \
 | {limit[goal.position_mm]:g} mm, {limit[goal.heading_deg]:g} deg
@@ -90,4 +92,6 @@ def _derived_values(result: dict[str, Any]) -> dict[str, Any]:
     }
     if "clearance_m" in result.get("goal", {}):
         values["clearance"] = {"mm": 1e3 * result["goal"]["clearance_m"]}
+    if "clearance_m" in result.get("tool", {}):
+        values["body"] = {"mm": 1e3 * result["tool"]["clearance_m"]}
     return values

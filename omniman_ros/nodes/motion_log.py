@@ -26,6 +26,7 @@ class MotionInput(Enum):
     BODY = ("body", "trajectory")
     TOOL_PATH = ("tool_path", "tool path")
     TOOL_GOAL = ("tool_goal", "tool goal")
+    JOINT_GOAL = ("joint_goal", "joint goal")
 
     def __init__(self, key: str, label: str) -> None:
         self.key, self.label = key, label

@@ -59,7 +59,11 @@ class UrParameters(Validated):
         read_only=True,
     )
     gain: float = parameter(
-        300.0, "servoj: proportional gain.", low=100, high=2000, read_only=True
+        2000.0,
+        "servoj: proportional gain. A lower one lets the arm deviate where it accelerates.",
+        low=100,
+        high=2000,
+        read_only=True,
     )
     servo_lag: float = parameter(
         0.042,

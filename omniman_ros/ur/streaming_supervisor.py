@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from omniman_ros.ur.streaming_messages import StreamingPhase
 LOSS_REASON_DELAY = 0.02
 REST_SPEED = 0.01  #: Measured joint speed below which the arm counts as standing [rad/s]
 #: Delay of a setpoint beyond which the arm has gone on by its last step instead [s].
-#: Shorter ones are caught up with, as the arm's lag hides them.
-COASTING_DELAY = 8.5 * PERIOD
+#: After shorter ones the program on the controller catches up.
+COASTING_DELAY = 4.5 * PERIOD
 #: Number of setpoints whose send times are kept: more than the program can leave unread
 SEND_TIMES = 256
 
@@ -56,8 +57,9 @@ class StreamingSupervisor:
 
     def __init__(self, link: ControllerLink, arm: ArmParameters, ur: UrParameters) -> None:
         self._link = link
+        self._limits = self._program_limits = joint_limits(arm, ur)
         self._generator = JointSetpointGenerator(
-            joint_limits(arm, ur), GeneratorSettings(ur.start_distance, ur.servo_lag), PERIOD
+            self._limits, GeneratorSettings(ur.start_distance, ur.servo_lag), PERIOD
         )
         self._ur = ur
         self.phase = StreamingPhase.IDLE
@@ -74,9 +76,20 @@ class StreamingSupervisor:
         self._refusals: list[str] = []
 
     def configure(self, arm: ArmParameters, ur: UrParameters) -> None:
-        """Replace the limits and timeouts."""
+        """Replace the limits and timeouts.
+
+        A program keeps the limits with which it began, so higher speeds and accelerations apply
+        from the next one on.
+        """
         self._ur = self._link.parameters = ur
-        self._generator.limits = joint_limits(arm, ur)
+        self._limits = limits = joint_limits(arm, ur)
+        if self.phase is not StreamingPhase.IDLE:
+            limits = replace(
+                limits,
+                velocity=np.minimum(limits.velocity, self._program_limits.velocity),
+                acceleration=np.minimum(limits.acceleration, self._program_limits.acceleration),
+            )
+        self._generator.limits = limits
         self._generator.settings.start_distance = ur.start_distance
 
     def start(self, now: float) -> None:
@@ -206,7 +219,9 @@ class StreamingSupervisor:
     def _begin_program(self, now: float) -> None:
         if self.phase is not StreamingPhase.IDLE or self.stop_reason or self.blocking_reason:
             return
-        self._link.start_program(servo_program(self._ur, *self._link.address), now)
+        self._program_limits = self._generator.limits = self._limits
+        program = servo_program(self._ur, self._limits, *self._link.address)
+        self._link.start_program(program, now)
         self.phase = StreamingPhase.STARTING
 
     def _begin_stream(self, now: float) -> None:

@@ -25,6 +25,7 @@ JOINT_TOLERANCE = 0.01  #: Rotation of a joint from which the footprint is compu
 DISPLAY_DISTANCE = 3.0  #: Distance up to which something counts as near [m]
 NEAREST_POINTS = 60  #: Number of nearest scanner points whose distances are computed
 PLATFORM_HEIGHT = 0.3  #: Height at which a line from the platform is drawn [m]
+GHOST_SPACING = 0.2  #: Least distance between the same points of two ghosts of a plan [m]
 STATIONS = np.linspace(0.0, 1.0, 11)  #: Ratios along an axis or edge where a line may begin
 
 
@@ -56,7 +57,7 @@ class BodyView:
 class PlanView:
     """The motion of the whole body that is planned."""
 
-    ghosts: Array  #: (s, 2, 3) lines in `odom`: platform and arm at some instants [m]
+    ghosts: Array  #: (s, 2, 3) lines in `odom`: platform and arm in the end and on the way [m]
     nearest: Nearest | None  #: What it avoids: what is nearest on the way; None if nothing is near
 
 
@@ -100,12 +101,12 @@ class BodyShapes:
             pose, joints = axes[PLATFORM_COLUMNS], axes[JOINT_COLUMNS]
             corners = np.insert(_in_odom(self._box, pose), 2, PLATFORM_HEIGHT, axis=1)
             links = self._links(pose, joints)[:, :3, 3]
-            ghosts += [*zip(corners, np.roll(corners, -1, axis=0), strict=True)]
-            ghosts += [*itertools.pairwise(links)]
+            edges = [*zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+            ghosts.append(np.array([*edges, *itertools.pairwise(links)]))
             near.append(self.view(pose, joints, around).nearest)
         known = [each for each in near if each is not None]
         nearest = min(known, key=lambda each: each.distance, default=None)
-        return PlanView(np.array(ghosts), nearest)
+        return PlanView(np.concatenate(_apart(ghosts)), nearest)
 
     def _links(self, pose: Array, joints: Array) -> Array:
         """Return the poses (7, 4, 4) of the arm's links in `odom`."""
@@ -145,8 +146,21 @@ class BodyShapes:
             height = np.clip(PLATFORM_HEIGHT, thing.lower, thing.upper)
             points = np.column_stack((flat, np.broadcast_to(height, len(flat))))
         nearest = points[thing.point_distances(points.T[..., None])[:, 0].argmin()]
-        place = np.append(thing.centre[:, 0], np.clip(nearest[2], thing.lower, thing.upper))
+        place = thing.nearest_points(nearest[:, None])[:, 0]
         return Nearest(name, distance, np.stack((nearest, place)))
+
+
+def _apart(ghosts: Sequence[Array]) -> list[Array]:
+    """Return the last of the ghosts (s, 2, 3), and those apart from the first and from later ones.
+
+    The first is where the robot is.
+    """
+    kept = [ghosts[-1]]
+    for ghost in ghosts[-2:0:-1]:
+        others = np.stack((ghosts[0], kept[-1]))
+        if (np.linalg.norm(ghost - others, axis=-1).max(axis=(1, 2)) >= GHOST_SPACING).all():
+            kept.append(ghost)
+    return kept
 
 
 def obstacles_around(

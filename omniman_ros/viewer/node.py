@@ -82,6 +82,8 @@ class ViewerNode(OmnimanNode):
 
     def serve(self) -> None:
         """Process the events of the page, drive while a button is held, publish the obstacles."""
+        self._topics.process_latest()
+        # What was received until now is not newer than that.
         now = self.now()
         if now < self._served_at - TIME_JUMP:
             self._reset_time(now)
@@ -90,7 +92,6 @@ class ViewerNode(OmnimanNode):
         self._drive.step(self.page.speeds, now)
         self._calls.collect(now)
         self._planner_parameters.collect(now)
-        self._topics.process_latest()
         self._poses.step(now)
         self._obstacles.publish(now)
         for source in (self._robot, self.state):
@@ -109,8 +110,8 @@ class ViewerNode(OmnimanNode):
         watched = self.page.watched
         self._topics.set_watched(watched)
         if watched:
-            now = self.now()
             self._topics.process_latest()
+            now = self.now()
             self._planner.update_state(now)
             self._poses.update_state()
             self._obstacles.update_state(now)

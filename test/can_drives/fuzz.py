@@ -1,8 +1,10 @@
 """Random frames by a seed, many of them with ids of the codec under test."""
 
+import math
 import random
+from dataclasses import fields
 
-from omniman_ros.can_drives.axis import AxisSettings
+from omniman_ros.can_drives.axis import AxisSettings, AxisState, Demand, DriveSetpoint
 from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.control.wheel_cascade import DriveMode
 from test.fuzz import examples
@@ -52,3 +54,29 @@ def settings(**changes):
         "feedback_timeout": 0.015,
     }
     return AxisSettings(**(values | changes))
+
+
+def endure(in_state, state, given, moves):
+    """Assert that no frame raises, moves a drive that is not enabled, or makes values infinite.
+
+    Args:
+        in_state: Returns an axis in a state at a time [s].
+        given: COUNT frames.
+        moves: Whether a frame asks for motion.
+    """
+    axis, idle, driven = in_state(state), 0, 0
+    values = [one.name for one in fields(axis.feedback) if one.name != "at"]
+    fast = DriveSetpoint(DriveMode.VELOCITY, 30.0)
+    for k, frame in enumerate(given):
+        now = k * 1e-4
+        axis.receive(frame, now)
+        assert not any(math.isinf(getattr(axis.feedback, name)) for name in values), frame
+        if k % 10 == 0 or axis.state is not state:
+            enabled = axis.state is AxisState.ENABLED
+            sent = axis.tick(Demand.STOP if k % 20 else Demand.DRIVE, fast, now)
+            assert enabled or not any(map(moves, sent)), frame
+            driven, idle = driven + enabled, idle + (not enabled)
+            if axis.state is not state:
+                axis = in_state(state, now)
+    assert idle > COUNT // 20
+    assert (driven > COUNT // 20) is (state is AxisState.ENABLED)

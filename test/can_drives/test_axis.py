@@ -1,6 +1,7 @@
 import math
 import random
 import struct
+from dataclasses import replace
 
 import pytest
 
@@ -101,8 +102,10 @@ def test_a_setpoint_reaches_the_frames_of_an_enabled_drive_only(state, demand):
     axis.state = state
     moves = state is AxisState.ENABLED and demand is not Demand.IDLE
     assert axis.tick(demand, asked, 0.0) == [asked if moves else REST]
-    with pytest.raises(InputError, match="must be finite"):
-        axis.tick(demand, DriveSetpoint(DriveMode.VELOCITY, math.nan), 0.0)
+    for bad in (math.nan, math.inf, -math.inf):
+        for setpoint in (replace(asked, value=bad), replace(asked, feedforward=bad)):
+            with pytest.raises(InputError, match="must be finite"):
+                axis.tick(demand, setpoint, 0.0)
 
 
 @pytest.mark.parametrize("state", AxisState)

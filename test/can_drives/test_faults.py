@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from omniman_ros.can_drives.drives import CanDrivesPhase
-from omniman_ros.can_drives.frame import CanFrame
 from omniman_ros.can_drives.wheel_feedback import MIN_INTEGRATED_ANGLE
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from test.can_drives.rig import SPEED, STEP, Rig
@@ -144,37 +143,6 @@ def test_emergency_is_acted_on_at_reception_within_one_sync_and_two_milliseconds
     assert stop_sent(rig, since) - reported <= at_reception(rig)
 
 
-@pytest.mark.parametrize(
-    "frame",
-    [
-        CanFrame(0x702, b"\x00"),
-        CanFrame(0x182, bytes.fromhex("1806090000")),
-        CanFrame(0x702, b"\x7f"),
-    ],
-    ids=["boot-up", "fault bit", "pre-operational"],
-)
-def test_report_of_a_failing_drive_is_acted_on_at_reception(frame):
-    rig = Rig("cia402").driving()
-    since = rig.now
-    rig.send(rig.drives.receive(frame, rig.now), rig.now)
-    assert rig.drives.stop_reason.startswith(f"{WHEEL}: ")
-    rig.run(0.02)
-    assert stop_sent(rig, since - STEP) - since <= at_reception(rig)
-    rig.until(lambda: rig.standing, ramp(rig))
-
-
-def test_bus_off_stops_all_and_its_end_starts_nothing():
-    rig = Rig("cia402").driving()
-    since = rig.now
-    rig.send(rig.drives.on_bus_failure("off", rig.now), rig.now)
-    rig.run(0.02)
-    assert stop_sent(rig, since - STEP) - since <= at_reception(rig)
-    rig.until(lambda: rig.standing, ramp(rig))
-    rig.run(1.0)
-    assert rig.standing
-    assert rig.drives.stop_reason == "bus: off"
-
-
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_drives_stop_by_themselves_when_the_host_is_frozen(protocol):
     rig = Rig(protocol).driving()
@@ -195,34 +163,6 @@ def test_drives_stop_by_themselves_when_the_host_is_frozen(protocol):
     assert rig.speeds[-1] == pytest.approx(list(SPEED), abs=0.2), rig.say()
 
 
-def test_fault_that_comes_back_after_its_reset_stops_again():
-    rig = Rig("cia402").driving()
-    for _ in range(2):
-        rig.set_faults(fault=(WHEEL,))
-        rig.stopped_after()
-        rig.command = None
-        rig.until(lambda: rig.drives.at_rest(rig.now))
-        rig.run(0.3)
-        rig.set_faults(fault=())
-        rig.drives.reset(rig.now)
-        rig.until(lambda: rig.drives.phase is CanDrivesPhase.DRIVING)
-        assert not rig.drives.stop_reason
-        rig.command = WheelCommand(DriveMode.VELOCITY, np.zeros(4), SPEED)
-        rig.run(0.5)
-
-
-def test_reset_during_a_fault_ends_in_a_stop_that_names_the_fault():
-    rig = Rig("cia402").driving()
-    rig.set_faults(fault=(WHEEL,))
-    rig.stopped_after()
-    rig.run(1.0)
-    rig.drives.reset(rig.now)
-    rig.stopped_after(patience=rig.parameters.enable_timeout + 0.5)
-    assert rig.drives.stop_reason.startswith(WHEEL)
-    rig.run(1.0)
-    assert rig.standing
-
-
 @pytest.mark.parametrize("fault", ["duplicated_reports", "reordered_reports"])
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_reordered_or_duplicated_reports_are_tolerated(protocol, fault):
@@ -239,24 +179,6 @@ def test_one_lost_frame_in_a_hundred_is_tolerated(protocol):
     rig.set_faults(lost_frames=0.01)
     rig.run(1.0)
     assert not rig.drives.stop_reason, rig.say()
-
-
-@pytest.mark.parametrize(
-    ("fault", "reason"),
-    [
-        ({"configuration_refused": (WHEEL,)}, f"{WHEEL} .*abort"),
-        ({"configuration_unanswered": (WHEEL,)}, f"{WHEEL} .*no answer"),
-        ({"silent": (WHEEL,)}, f"{WHEEL} .*no answer"),
-    ],
-)
-def test_drive_that_cannot_be_configured_is_named_and_nothing_is_enabled(fault, reason):
-    rig = Rig("cia402")
-    rig.set_faults(**fault)
-    rig.run(0.05)
-    rig.drives.configure(rig.now)
-    rig.until(lambda: rig.drives.phase is not CanDrivesPhase.CONFIGURING)
-    assert rig.drives.phase is CanDrivesPhase.UNCONFIGURED
-    assert re.search(reason, rig.drives.stop_reason), rig.drives.stop_reason
 
 
 @pytest.mark.parametrize(
@@ -288,55 +210,6 @@ def test_stuck_status_under_way_does_not_hide_that_the_others_stop():
     rig.run(0.2)
     rig.send(rig.drives.stop("~/stop", rig.now), rig.now)
     rig.until(lambda: rig.standing, ramp(rig))
-
-
-@pytest.mark.parametrize("start", [2**31 - 2000, -(2**31) + 2000])
-def test_position_is_continuous_over_encoder_wraps(start):
-    rig = Rig("cia402")
-    for drive in rig.bus.drives.values():
-        drive.axis._origin -= start * math.tau / rig.parameters.counts
-    speed = SPEED if start > 0 else -SPEED
-    rig.driving(speed)
-    first = rig.drives.take_states().position
-    rig.run(1.0)
-    travel = rig.drives.take_states().position - first
-    assert travel == pytest.approx(speed, rel=0.02)
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
-        CanFrame(0x000, b"\x80\x00"),
-        CanFrame(0x202, (0x0F).to_bytes(2, "little") + (123456).to_bytes(4, "little") + b"\x09"),
-        CanFrame(0x602, bytes.fromhex("23FF600040E20100")),
-        CanFrame(0x77F, b"\x7f"),
-    ],
-    ids=["NMT", "RPDO", "SDO", "heartbeat"],
-)
-def test_second_host_stops_all(frame):
-    rig = Rig("cia402").driving()
-    rig.send(rig.drives.receive(frame, rig.now), rig.now)
-    assert rig.drives.stop_reason.startswith("another host commands the drives")
-    rig.until(lambda: rig.standing, ramp(rig))
-
-
-def test_unknown_extended_and_empty_frames_change_nothing():
-    rig = Rig("cia402").driving()
-    for frame in (
-        CanFrame(0x7FF, b"\x00"),
-        CanFrame(0x182, b"", True),
-        CanFrame(0x182, b""),
-        CanFrame(0x282, b"\x01"),
-        CanFrame(0x702, b""),
-        CanFrame(0x082, b"\x10\x23"),
-        CanFrame(0x182, b"", False, True),
-        CanFrame(0x1FFFFFFF, bytes(8), True),
-    ):
-        assert rig.drives.receive(frame, rig.now) == []
-    rig.run(0.3)
-    assert not rig.drives.stop_reason
-    assert rig.drives.host_detector.counts["unknown"] >= 2
-    assert rig.drives.host_detector.counts["malformed"] >= 4
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import signal
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -85,7 +86,7 @@ def test_ctrl_c_cancels_the_path_of_the_tool(robot):
 
 
 @pytest.mark.processes
-def test_around_obstacles_it_is_a_goal_of_the_whole_body_planner():
+def test_around_obstacles_and_with_the_joints_goals_are_those_of_the_whole_body_planner():
     with running(DodgeWorld) as robot:
         robot.wait(lambda: robot.world.received["tool_pose"])
         x, y, z = tool_position(robot)
@@ -93,3 +94,7 @@ def test_around_obstacles_it_is_a_goal_of_the_whole_body_planner():
             assert robot.finish(moved) == 0, moved.output
         assert robot.world.node.motions.tool.log.text == "arrived"
         assert tool_position(robot) == pytest.approx([x + 0.2, y + 0.1, z + 0.05], abs=2e-3)
+        angles = ("0", "-100", "120", "-100", "-90", "10")
+        with robot.start("goal", "0.2", "0.1", "15", "--joints", *angles) as moved:
+            assert robot.finish(moved) == 0, moved.output
+        assert np.degrees(robot.world.joints) == pytest.approx([*map(float, angles)], abs=0.2)

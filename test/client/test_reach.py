@@ -1,11 +1,12 @@
-"""Goals of the tool by a client: reached by the whole-body planner, or refused."""
+"""Goals of the tool, and of platform and joints, by a client: reached, or refused."""
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 
 from omniman_ros.client.handle import Outcome
-from omniman_ros.client.messages import tool_goal
+from omniman_ros.client.messages import joint_goal, tool_goal
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from test.client.test_robot import client_of
@@ -23,7 +24,7 @@ def world():
 
 @pytest.fixture(scope="module")
 def robot(world):
-    with client_of(world, needs=("tool_goal",)) as robot:
+    with client_of(world, needs=("tool_goal", "joint_goal")) as robot:
         yield robot
 
 
@@ -49,6 +50,25 @@ def test_the_tool_reaches_its_goal_and_keeps_its_orientation(world, robot):
 def test_a_goal_out_of_reach_is_refused_with_the_reason(world, robot):
     result = ended(world, robot.reach(1.0, 0.0, 3.0))
     assert result.outcome is Outcome.REFUSED and "finds no place" in result.reason
+
+
+def test_platform_and_joints_reach_their_goal(world, robot):
+    names, start = tuple(robot.joints.value), np.array([*robot.joints.value.values()])
+    angles = start + [0.1, 0.0, -0.1, 0.0, 0.0, 0.2]
+    handle = robot.move_body(0.2, 0.1, 0.3, dict(zip(names, angles, strict=True)))
+    assert ended(world, handle).outcome is Outcome.ARRIVED
+    pose = robot.pose.value
+    assert [pose.x, pose.y, pose.heading] == pytest.approx([0.2, 0.1, 0.3], abs=5e-3)
+    assert [*robot.joints.value.values()] == pytest.approx(angles, abs=2e-3)
+
+
+def test_a_goal_of_the_joints_has_the_platform_first_and_its_frame():
+    message = joint_goal(1.0, 2.0, 0.5, {"b": 0.1}, ("a", "b"), "map")
+    assert message.header.frame_id == "map"
+    assert message.joint_names == ["odom_x", "odom_y", "odom_t", "b"]
+    assert list(message.points[0].positions) == [1.0, 2.0, 0.5, 0.1]
+    with pytest.raises(ParameterError, match="heading"):
+        joint_goal(1.0, 2.0, float("nan"), [0.1, 0.2], ("a", "b"), "odom")
 
 
 def test_an_orientation_is_sent_as_it_is():

@@ -52,6 +52,20 @@ def test_no_place_on_a_segment_is_nearer():
     assert (grid - found).max() < 0.002
 
 
+@pytest.mark.parametrize(
+    ("obstacle", "point", "nearest"),
+    [
+        (POST, (0.0, 0.0, 0.5), (0.8, 0.0, 0.5)),
+        (BOX, (1.0, 3.0, 1.0), (0.2, 2.5, 0.6)),
+        (BOX, (0.1, 2.2, 0.55), (0.1, 2.2, 0.55)),
+    ],
+    ids=["post", "turned box", "within"],
+)
+def test_the_nearest_point_lies_on_the_obstacle(obstacle, point, nearest):
+    found = obstacle.nearest_points(np.array(point)[:, None])
+    assert found[:, 0] == pytest.approx(nearest)
+
+
 def test_boxes_have_the_distance_of_their_outlines():
     """Two upright boxes have the least distance of points on their edges, and the vertical gap."""
     rng = np.random.default_rng(7)

@@ -349,6 +349,7 @@ def test_reset_sets_pose_and_covariance():
         ((1e300, 0, 0), None, "beyond"),
         ((0, 0, 1e9), None, "beyond"),
         ((0, 0, 0), np.full((3, 3), math.nan), "covariance"),
+        ((0, 0, 0), np.diag([2e12, 1, 1]), "covariance .* beyond"),
         ((0, 0, 0), np.zeros((2, 2)), "covariance"),
         ((0, 0, 0), np.zeros(9), "covariance"),
         ((0, 0, 0), np.diag([1.0, -1, 1]), "negative variance"),

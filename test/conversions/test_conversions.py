@@ -42,7 +42,11 @@ from omniman_ros.conversions.geometry import (
 from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds, within
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.obstacles import MarkerDeletion, ellipse_markers, marker_changes
-from omniman_ros.conversions.odometry import fill_odometry, odometry_transform
+from omniman_ros.conversions.odometry import (
+    fill_odometry,
+    initialize_odometry,
+    odometry_transform,
+)
 from omniman_ros.conversions.poses import (
     goal_pose_from_message,
     goal_state_from_message,
@@ -256,6 +260,7 @@ def spoiled(change):
         (lambda m: setattr(m, "joint_names", []), "expected 'platform' alone"),
         (lambda m: setattr(m, "joint_names", ["platform", "arm"]), "expected 'platform' alone"),
         (lambda m: setattr(m, "points", []), "got 0"),
+        (lambda m: setattr(m, "points", m.points * 2000), "at most 5000 are accepted"),
         (lambda m: setattr(m.points[1], "transforms", []), "point 1: expected one transform"),
         (lambda m: setattr(m.points[1], "velocities", []), "point 1: expected one transform"),
         (lambda m: setattr(m.points[1], "velocities", [Twist()] * 2), "point 1: expected"),
@@ -413,6 +418,7 @@ def test_odometry_is_written_with_pose_twist_and_covariance():
     odometry, message = moved_odometry(), OdometryMsg(child_frame_id="base_link")
     message.header.frame_id = "odom"
     stamp = Time(sec=7, nanosec=9)
+    initialize_odometry(message, 0.01)
     write(message, odometry, stamp)
     position = message.pose.pose.position
     assert (position.x, position.y, position.z) == (*odometry.pose[:2], 0.0)
@@ -423,8 +429,11 @@ def test_odometry_is_written_with_pose_twist_and_covariance():
     assert message.header.stamp == stamp
     spread = np.array(message.pose.covariance).reshape(6, 6)
     np.testing.assert_array_equal(spread[np.ix_((0, 1, 5), (0, 1, 5))], odometry.covariance)
-    assert not spread[2:5].any()
-    assert not spread[:, 2:5].any()
+    unmeasured = np.diag([1e6] * 3)
+    np.testing.assert_array_equal(spread[2:5, 2:5], unmeasured)
+    assert not spread[[0, 1, 5], 2:5].any() and not spread[2:5, [0, 1, 5]].any()
+    variances = [0.01, 0.01, 1e6, 1e6, 1e6, 0.01]
+    assert list(message.twist.covariance) == np.diag(variances).ravel().tolist()
 
 
 def test_odometry_pose_survives_a_round_trip():

@@ -131,6 +131,12 @@ def test_the_demo_drives_in_a_world_where_it_fits_or_on_request(monkeypatch, arg
     assert setup.obstacle_tracker == bool(world), "it sees by its scanner"
 
 
+@pytest.mark.parametrize("arm", ["simulated", "none"])
+def test_the_body_evades_what_is_beside_the_tool_where_there_is_an_arm(arm):
+    setup = demo_setup(make_parser().parse_args(["demo", "--arm", arm]))
+    assert setup.has_whole_body_planner == (arm != "none")
+
+
 @pytest.mark.parametrize("missing", ["mujoco", "scipy"])
 def test_without_engine_or_tracker_the_demo_drives_on_the_plant(monkeypatch, missing):
     monkeypatch.setattr(extras, "find_spec", lambda name: None if name == missing else True)

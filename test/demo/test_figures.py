@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from omniman_ros.demo import legs
-from omniman_ros.demo.demo import judge
+from omniman_ros.demo.demo import judge, load_demo
 from omniman_ros.demo.figures import (
     DrivenGoal,
     DrivenStop,
+    DrivenTool,
     Reference,
     TwistPhase,
     arm_figures,
@@ -18,6 +19,7 @@ from omniman_ros.demo.figures import (
     goal_figures,
     interval_figures,
     stop_figures,
+    tool_clearance,
     tool_figures,
     tool_track,
     tracking_figures,
@@ -28,6 +30,7 @@ from omniman_ros.demo.moving_obstacles import DemoObstacles
 from omniman_ros.demo.perception import People, Perception
 from omniman_ros.demo.recorder import DemoRecording
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel, planar_transform
+from omniman_ros.simulation.world.scene import Post
 from test.demo.samples import (
     MOVEMENTS,
     START,
@@ -165,6 +168,29 @@ def test_only_the_error_by_the_ground_truth_includes_the_drift():
     assert offset["max_mm"] == pytest.approx(5.0, abs=0.1)
     drifted = tool_figures(tool_track(led_tool(drift=0.002), MODEL, LED))
     assert drifted["max_mm"] < 0.1 and drifted["true_max_mm"] == pytest.approx(4.0, abs=0.2)
+
+
+def test_the_clearance_on_the_tools_path_is_that_of_the_true_body():
+    pytest.importorskip("mujoco", reason="it measures the gaps")
+    description, track = (
+        load_demo("omniman").description,
+        tool_track(led_tool(drift=0.1), MODEL, LED),
+    )
+
+    def clearance(posts, *reports):
+        return tool_clearance(track, description, DrivenTool(LED, posts, People([*reports])))
+
+    # A post that the platform leaves on its left, and a person whom the tool meets in the end.
+    x, y, _ = track.truth[0] + planar_transform(track.truth[0])[:3, :3] @ [0.0, 0.85, 0.0]
+    post = Post(name="post", x=x, y=y, radius=0.2)
+    assert clearance([post], (0.0, np.zeros((0, 3)))) == pytest.approx(0.3, abs=0.005)
+    to_world = planar_transform(track.truth) @ np.linalg.inv(planar_transform(track.platform))
+    met = to_world[-1] @ [*track.measured[-1], 1.0]
+    person = np.array([[met[0], met[1], 0.25]])
+    away = person + [[2.0, 0.0, 0.0]]
+    assert clearance([], (0.0, away), (LED.end, away)) > 0.5
+    late = LED.end - 0.2
+    assert clearance([], (0.0, away), (late - 0.1, away), (late, person), (LED.end, person)) < 0.0
 
 
 # ---- goal -----------------------------------------------------------------------------------

@@ -71,11 +71,13 @@ def test_all_legs_are_driven_and_measured(driven):
 def test_the_report_has_all_rows_of_a_robot_in_a_world_and_those_that_there_are(driven):
     _, _, result = driven
     rows = len(ROWS.splitlines())
-    lines = report_lines(result | {"contacts": {"count": 1, "with": ["base_link, pallet"]}})
+    contacts = {"count": 1, "with": ["base_link, pallet"]}
+    among = result["tool"] | {"clearance_m": 0.05}
+    lines = report_lines(result | {"contacts": contacts, "tool": among})
     assert len(lines) == 2 + rows
     assert any("1: base_link, pallet" in line for line in lines)
     without = {key: value for key, value in result.items() if key not in ("arm", "goal")}
-    assert len(report_lines(without)) == 2 + rows - 6, "nor has it touched something"
+    assert len(report_lines(without)) == 2 + rows - 7, "nor is it in a world"
 
 
 def test_the_demo_is_drawn(driven, tmp_path):
@@ -172,13 +174,12 @@ def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
 
 
 def test_the_path_of_the_tool_begins_where_it_is_and_ahead_of_the_robot():
-    length = legs.STRAIGHT + legs.RADIUS * legs.BEND
     positions = legs.tool_positions((0.3, -0.2, 0.7), 0.7)
     assert positions[0] == pytest.approx((0.3, -0.2, 0.7))
     steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
-    assert steps.sum() == pytest.approx(length, rel=1e-3) and steps.max() < 0.021
+    assert steps.sum() == pytest.approx(legs.LENGTH) and steps.max() < 0.021
     assert np.ptp(positions[:, 2]) == pytest.approx(legs.WAVE_HEIGHT, rel=1e-3)
-    ahead = positions[10, :2] - positions[0, :2]
+    ahead = positions[-1, :2] - positions[0, :2]
     assert math.atan2(ahead[1], ahead[0]) == pytest.approx(0.7)
 
 
@@ -228,6 +229,10 @@ def test_by_the_scanner_the_robot_is_told_of_nobody(monkeypatch):
     robot = SteppedRobot()
     driver = stepped_driver(monkeypatch, robot)
     robot.spin(0.1)
+    robot.drive(1.0, 0.0, 0.0)
+    driver.pause(0.5)
+    robot.halt()
     driven = legs.drive_to_goal(driver, by_scanner=True)
     assert robot.asked == ["goal"]
+    assert driven.goal == pytest.approx(legs.GOAL_IN_WORLD), "wherever the robot was"
     assert driven.perception is not None

@@ -283,15 +283,6 @@ def test_configure_reports_at_once_why_the_streaming_process_has_ended(capfd):
     assert "ur.reverse_port = 50001 is not available" in capfd.readouterr().err
 
 
-def test_stop_is_latched_until_a_reset_that_starts_no_motion():
-    with Bench() as bench:
-        bench.swing()
-        assert bench.trigger("stop").success
-        bench.assert_stands("~/stop")
-        assert not bench.arm.plays()
-        bench.assert_goes_on()
-
-
 def test_stop_right_after_a_reset_is_sent_again():
     with Bench() as bench:
         bench.swing()
@@ -389,30 +380,6 @@ def test_emergency_stop_of_the_controller_is_latched_until_its_power_is_back():
         assert bench.arm.controller.power(Cb3RobotMode.RUNNING)
         bench.until(lambda: not bench.node.streaming.report.blocking_reason, "power")
         bench.assert_goes_on()
-
-
-INVALID_PREVIEWS = {
-    "nan": lambda b, home: b.preview(lambda t: (home + math.nan, np.zeros(6))),
-    "jump 0.16": lambda b, home: b.preview(lambda t: (home + 0.16, np.zeros(6))),
-    "too fast": lambda b, home: b.preview(lambda t: (home + 1.5 * t, np.zeros(6)), (0.0, 0.6)),
-    "late": lambda b, home: b.preview(lambda t: (home + 0.01, np.zeros(6)), ahead=-2.0),
-    "names": lambda b, home: b.preview(lambda t: (home, np.zeros(6)), names="abcdef"),
-    "empty": lambda b, home: b.preview(None, times=()),
-}
-
-
-def test_invalid_preview_causes_a_warning_and_no_motion():
-    with Bench() as bench:
-        bench.until(bench.streams, "streaming")
-        home, counts = bench.arm.place, bench.node.warning_counts
-        for label, make in INVALID_PREVIEWS.items():
-            before = sum(counts.values())
-            bench.previews.publish(make(bench, home))
-            bench.run(0.1)
-            assert sum(counts.values()) == before + 1, label
-            assert bench.node.streaming.report.at_rest and bench.streams(), label
-            assert np.abs(bench.arm.place - home).max() < STILL, label
-        bench.swing()
 
 
 @pytest.mark.parametrize(

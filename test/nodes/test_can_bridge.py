@@ -432,28 +432,6 @@ def test_drives_that_cannot_be_enabled_stay_off_and_the_node_inactive():
         assert not bench.change(Transition.TRANSITION_ACTIVATE), "a stopped node is refused"
 
 
-def test_stop_is_latched_until_a_reset_that_starts_no_motion():
-    with Bench() as bench:
-        bench.drive()
-        assert bench.trigger("stop").success
-        bench.until(lambda: bench.bus.at_rest, "rest")
-        bench.until(lambda: bench.node.link.drives.is_off, "power off")
-        answer = bench.trigger("reset")
-        assert answer.success, answer.message
-        assert bench.bus.at_rest
-        bench.drive()
-
-
-def test_emergency_stop_stops_the_wheels_and_prevents_a_reset():
-    with Bench() as bench:
-        bench.drive()
-        bench.publish_emergency()
-        bench.until(lambda: bench.bus.at_rest, "rest")
-        answer = bench.trigger("reset")
-        assert not answer.success
-        assert "emergency_stop" in answer.message
-
-
 def test_emergency_stop_before_the_start_keeps_the_drives_off():
     with Bench(autostart=False) as bench:
         bench.publish_emergency()
@@ -483,25 +461,6 @@ def test_a_drive_that_boots_is_told_by_its_number_of_restarts():
         bench.run(0.02)
         assert len(before) == 4
         assert (np.array(counts[-1].data) - before).tolist() == [0, 1, 0, 0]
-
-
-INVALID_COMMANDS = {
-    "nan": ({"velocity": [float("nan")] * 4}, None),
-    "huge": ({"velocity": [1e9] * 4}, None),
-    "short": ({"velocity": [3.0] * 3}, None),
-    "torque": ({"velocity": [], "effort": [1.0] * 4}, None),
-    "names": ({}, ["a", "b", "c", "d"]),
-}
-
-
-def test_invalid_command_causes_a_warning_and_no_motion():
-    with Bench() as bench:
-        bench.until_driving()
-        for label, (fields, names) in INVALID_COMMANDS.items():
-            bench.node._throttle.counts.clear()
-            bench.run(0.1, lambda f=fields, n=names: bench.send(3.0, names=n, **f))
-            bench.until_warned()
-            assert bench.bus.at_rest, label
 
 
 def test_stale_command_causes_a_warning_and_no_motion():

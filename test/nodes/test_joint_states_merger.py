@@ -203,13 +203,8 @@ NAN, INF = float("nan"), float("inf")
     ("parts", "message"),
     [
         ({"position": [1.0, NAN, 1.0, 1.0]}, "position"),
-        ({"position": [1.0, INF, 1.0, 1.0]}, "position"),
-        ({"position": [1.0, 1e13, 1.0, 1.0]}, "position"),
         ({"velocity": [NAN] * 4}, "velocity"),
         ({"effort": [0.0, 0.0, 0.0, -INF]}, "effort"),
-        ({"position": []}, "no position"),
-        ({"position": [1.0] * 3}, "3 position values for 4 names"),
-        ({"velocity": [1.0] * 5}, "5 velocity values for 4 names"),
         ({"ahead": 0.2}, "ahead"),
         ({"ahead": -0.1}, "out of order"),
     ],
@@ -224,21 +219,6 @@ def test_invalid_states_are_ignored_with_a_warning_and_the_last_valid_ones_kept(
     assert list(robot.latest().position) == [1.0] * 4 + [2.0] * 6
     (warning,) = warnings
     assert warning.startswith("wheel_states ignored: ")
-    assert message in warning
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["front_left"] * 4, "a name is repeated"),
-        (["front_left", "front_right", "rear_left", "rear_middle"], "no rear_right"),
-        (UR_JOINTS[:4], "no front_left"),
-    ],
-)
-def test_states_with_other_names_are_ignored_with_a_warning(robot, warnings, names, message):
-    robot.publish_states(robot.wheels, names, position=[1.0] * 4)
-    assert robot.latest() is None
-    (warning,) = warnings
     assert message in warning
 
 

@@ -81,8 +81,8 @@ class Planner:
         return self.world.true_speed()
 
     def take_away(self) -> None:
-        self.world.takes = False
-        self.world.say("cmd_vel")
+        self.world.follows_stream = False
+        self.world.publish_source("cmd_vel")
 
 
 class Paths:

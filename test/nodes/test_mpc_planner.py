@@ -11,10 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Quaternion, Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
@@ -23,20 +20,18 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.headers import time_seconds
-from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import se2
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
-from omniman_ros.core.preview import Preview, Setpoint
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.cycle import PlannerState
-from omniman_ros.planning.mpc.solver import SolverError
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.planner import Planner
+from test.nodes.followers import FakeFollower, StreamWorld
 from test.nodes.harness import PERIOD, World
 from test.nodes.rig import reference, twist
 from test.tiers import exhaustive, representative
@@ -101,7 +96,7 @@ def marker(
     return made
 
 
-class PlannerWorld(World):
+class PlannerWorld(StreamWorld):
     """A planner with a short horizon, and its messages with their times of arrival.
 
     Attributes:
@@ -110,23 +105,12 @@ class PlannerWorld(World):
         gaps: Minimum true gap between robot and obstacles so far [m].
     """
 
+    maker = MpcPlannerNode
+    name, source = "mpc_planner", "mpc"
+
     def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
-        given = {"horizon.steps": 10} | (parameters or {})
-        super().__init__(MpcPlannerNode, *others, parameters=given)
-        self.node: MpcPlannerNode = self.nodes[0]
+        super().__init__(*others, parameters={"horizon.steps": 10} | (parameters or {}))
         self.core: Planner = self.node.core
-        self.arrivals: list[float] = []
-        self.references: list[
-            bytes
-        ] = []  # deserialised only when inspected, since that takes longest
-        self._previews: dict[int, Preview] = {}
-        self.probe.create_subscription(
-            MultiDOFJointTrajectory, "mpc/reference", self._on_message, 100, raw=True
-        )
-        self._await(
-            lambda: self.node.publisher.reference.get_subscription_count() > 0,
-            "a publisher of mpc/reference",
-        )
         self.statuses = self.listen(DiagnosticStatus, "mpc/status")
         self.goals = self.publisher(PoseStamped, "goal_pose")
         self.obstacles_present: list[TrueObstacle] = []
@@ -134,9 +118,9 @@ class PlannerWorld(World):
         self.gap = INF
         self._reported = -INF
         self.hooks.append(self._look)
-        self.warnings: list[str] = []
-        warn = self.node.warn
-        self.node.warn = lambda subject, text: (self.warnings.append(text), warn(subject, text))
+
+    def subscription_count(self) -> int:
+        return int(self.node.publisher.reference.get_subscription_count())
 
     @cached_property
     def markers(self) -> Any:
@@ -179,27 +163,7 @@ class PlannerWorld(World):
         self.goals.publish(goal(*pose))
         self.run(2 * PERIOD)
 
-    def ask(self, name: str) -> Trigger.Response:
-        return self.call(Trigger, f"mpc_planner/{name}")
-
-    def set(self, name: str, value: object, node: str = "mpc_planner") -> Any:
-        given = value if isinstance(value, Parameter) else Parameter(name, value=value)
-        request = SetParameters.Request(parameters=[given.to_parameter_msg()])
-        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
-
     # ---- reactions ---------------------------------------------------------------------------
-
-    def _on_message(self, data: bytes) -> None:
-        self.references.append(data)
-        self.arrivals.append(self.time)
-
-    def preview(self, i: int) -> Preview:
-        i %= len(self.references)
-        if i not in self._previews:
-            message = deserialize_message(self.references[i], MultiDOFJointTrajectory)
-            start = time_seconds(message.header.stamp)
-            self._previews[i] = preview_from_message(message, start, ("odom",))
-        return self._previews[i]
 
     @property
     def state(self) -> PlannerState:
@@ -219,12 +183,6 @@ class PlannerWorld(World):
         """Wait until the robot is at rest; assert that it stays at rest."""
         return self.run_until(lambda: self.true_speed() < 0.01, seconds, "rest")
 
-    def assert_silent(self, seconds: float = 0.5) -> None:
-        """Assert that nothing is streamed."""
-        before = len(self.references)
-        self.run(seconds)
-        assert len(self.references) == before, "a reference was sent"
-
     def last_status(self) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and values of the last mpc/status."""
         if not self.statuses:
@@ -243,29 +201,14 @@ class PlannerWorld(World):
         return float(np.abs(error).max())
 
 
-class PlannerWithFakeController(PlannerWorld):
-    """The planner with a fake controller that follows instantly.
-
-    Attributes:
-        takes: Whether the controller accepts the stream.
-        odometry: Makes the message for odom, or None for no message.
-        setpoint: Setpoint currently followed.
-    """
+class PlannerWithFakeController(PlannerWorld, FakeFollower):
+    """The planner with a fake controller that follows instantly."""
 
     def __init__(self, parameters: dict[str, Any] | None = None, source: str = "none") -> None:
         super().__init__(parameters=parameters)
-        self.takes = bool(source)
-        self.odometry: Callable[[], Odometry] | None = self.odom_message
-        self.setpoint = Setpoint(np.zeros(3), np.zeros(3), np.zeros(3))
         self.speeds: list[float] = []
-        self._odom = self.publisher(Odometry, "odom")
-        self._source = self.publisher(String, "active_source", LATCHED)
-        self._said, self._heard = "", 0
-        self._preview: Preview | None = None
-        self.hooks.append(self._control)
-        if source:
-            self.say(source)
-        self.run(4 * PERIOD)
+        self.hooks.append(lambda: self.speeds.append(self.true_speed()))
+        self.follow(source)
 
     def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
         """Run like `World.run`, in longer steps."""
@@ -273,40 +216,11 @@ class PlannerWithFakeController(PlannerWorld):
             self.time += TICK - PERIOD
             super().run(PERIOD, each)
 
-    def say(self, source: str) -> None:
-        """Report the active source of commands."""
-        if source != self._said:
-            self._said = source
-            self._source.publish(String(data=source))
-
-    def _control(self) -> None:
-        new, self._heard = len(self.references) > self._heard, len(self.references)
-        if not self.takes:
-            self._preview = None
-        elif new:
-            self._preview = self.preview(-1)
-        if self._preview is not None:
-            self.setpoint = self._preview.sample(self.time + 1e-9)
-            held = 0.0 if self._preview.end_speed > 1e-6 else 0.2
-            self.say("mpc" if self.time <= self._preview.end + held else "none")
-        self.speeds.append(self.true_speed())
-        if self.odometry is not None:
-            self._odom.publish(self.odometry())
-
     def true_pose(self) -> np.ndarray:
         return np.array(self.setpoint.pose)
 
     def true_speed(self) -> float:
         return float(np.abs(self.setpoint.velocity).max())
-
-    def odom_message(self) -> Odometry:
-        """Return the odometry of the controller: the current setpoint of the stream."""
-        message = Odometry(child_frame_id="base_link")
-        message.header.frame_id, message.header.stamp = "odom", self.stamp()
-        x, y, theta = self.setpoint.pose.tolist()
-        message.pose.pose = goal(x, y, theta).pose
-        message.twist.twist = twist(*se2.to_robot(theta, self.setpoint.velocity))
-        return message
 
 
 class PlannerWithRealController(PlannerWorld):
@@ -577,7 +491,7 @@ def test_invalid_odometry_is_ignored(odd, why):
     with PlannerWithFakeController(source="") as world:
         world.node.sensors.measured = None  # as if this were the first message
         world.odometry = lambda: odd_odom(world, **odd)
-        world.say("none")
+        world.publish_source("none")
         world.run(0.05)
         world.send(*FAR)
         world.run(0.3)
@@ -636,13 +550,13 @@ def test_single_invalid_odometry_message_is_tolerated(alone):
 )
 def test_goal_is_refused_with_the_reason_while_the_robot_cannot_drive(source, why):
     with PlannerWithFakeController(source=source) as world:
-        world.takes = False
+        world.follows_stream = False
         world.send(*FAR)
         world.run(CYCLE if source else 5.0 + 2 * CYCLE)  # the controller may be heard yet
         [warning] = world.warnings
         assert "goal not used: " in warning.replace("goal_pose", "goal") and why in warning
         assert world.last_status()[0] == DiagnosticStatus.WARN and why in world.last_status()[1]
-        world.say("none")
+        world.publish_source("none")
         world.assert_silent()
 
 
@@ -695,8 +609,8 @@ def peer(world: PlannerWorld) -> Any:
 
 def says(source: str) -> Callable[[Any], None]:
     def act(world: PlannerWithFakeController) -> None:
-        world.takes = False
-        world.say(source)
+        world.follows_stream = False
+        world.publish_source(source)
 
     return act
 
@@ -719,15 +633,15 @@ def test_lost_control_is_not_taken_back(alone, name, paused):
     alone.send(*FAR)
     alone.run(0.6)
     if paused:
-        alone.ask("pause")
+        alone.call_service("pause")
         alone.run(1.2)
     way(alone)
     alone.run(2 * PERIOD)
     assert alone.state is PlannerState.IDLE and alone.node.finished
     assert alone.warnings == [f"the goal was given up: {why}"]
     alone.assert_silent(0.3)
-    assert not alone.ask("resume").success
-    alone.say("none")
+    assert not alone.call_service("resume").success
+    alone.publish_source("none")
     alone.assert_silent(1.3)
     assert alone.last_status()[:2] == (DiagnosticStatus.WARN, f"the goal was given up: {why}")
 
@@ -742,7 +656,7 @@ def test_stream_ends_when_the_controller_cancels(alone):
 
 
 def test_controller_that_never_accepts_the_stream_is_reported(alone):
-    alone.takes = False
+    alone.follows_stream = False
     alone.send(*FAR)
     alone.run(0.6)
     assert "the platform controller does not follow it" in alone.warnings[-1]
@@ -768,14 +682,14 @@ def test_pause_keeps_the_goal_and_resume_continues(alone):
     alone.run(0.8)
     speed, place = alone.true_speed(), alone.true_pose()[0]
     assert speed > 0.3
-    answer = alone.ask("pause")
+    answer = alone.call_service("pause")
     assert (answer.success, answer.message) == (True, "paused")
     alone.rest(1.0)
     assert alone.true_pose()[0] - place == pytest.approx(speed**2 / 2.04, rel=0.15)
     alone.run(1.0)
     alone.assert_silent(2.0)
     assert alone.last_status()[:2] == (DiagnosticStatus.OK, "paused") and alone.warnings == []
-    answer = alone.ask("resume")
+    answer = alone.call_service("resume")
     assert (answer.success, answer.message) == (True, "driving")
     alone.arrive()
     assert alone.distance(1.0, 0.0, 0.0) < 0.03 and alone.warnings == []
@@ -784,40 +698,21 @@ def test_pause_keeps_the_goal_and_resume_continues(alone):
 def test_new_goal_replaces_a_paused_one(alone):
     alone.send(*FAR)
     alone.run(0.5)
-    alone.ask("pause")
+    alone.call_service("pause")
     alone.run(1.0)
     alone.send(0.0, 0.3, 0.0)
     alone.arrive()
     assert alone.distance(0.0, 0.3, 0.0) < 0.03
-    assert not alone.ask("resume").success
-
-
-@pytest.mark.parametrize("before", ["", "pause"])
-def test_cancel_brakes_and_discards_the_goal(alone, before):
-    alone.send(*FAR)
-    alone.run(0.8)
-    if before:
-        alone.ask(before)
-    speed, place = alone.true_speed(), alone.true_pose()[0]
-    answer = alone.ask("cancel")
-    assert (answer.success, answer.message) == (True, "idle")
-    alone.rest(1.0)
-    assert alone.true_pose()[0] - place == pytest.approx(speed**2 / 2.04, rel=0.15)
-    alone.run(CYCLE)
-    assert alone.last_status()[1] == "idle" and alone.last_status()[2]["last"] == "cancelled"
-    assert not alone.ask("resume").success and not alone.ask("cancel").success
-    alone.assert_silent()
-    alone.send(0.0, 0.2, 0.0)
-    alone.arrive()
+    assert not alone.call_service("resume").success
 
 
 def test_requests_without_effect_are_refused_with_a_reason(alone):
     for _ in range(2):
         for name in ("pause", "resume", "cancel"):
-            answer = alone.ask(name)
+            answer = alone.call_service(name)
             assert not answer.success and answer.message.startswith(f"nothing to {name}: ")
         alone.send(0.1, 0.0, 0.0)
-        answer = alone.ask("resume")
+        answer = alone.call_service("resume")
         assert (answer.success, answer.message) == (False, "nothing to resume: driving")
         alone.arrive()
 
@@ -826,10 +721,10 @@ def test_waiting_goal_can_be_cancelled(alone):
     alone.odometry = None
     alone.run(0.4)
     alone.send(*FAR)
-    assert alone.ask("cancel").success
+    assert alone.call_service("cancel").success
     alone.odometry = alone.odom_message
     alone.assert_silent()
-    assert not alone.ask("cancel").success
+    assert not alone.call_service("cancel").success
 
 
 # ---- obstacles --------------------------------------------------------------------------------
@@ -870,7 +765,7 @@ def test_goal_that_ends_while_the_source_is_silent_stops_waiting(alone, ends):
     if ends == "cmd_vel":
         says("cmd_vel")(alone)
     else:
-        assert alone.ask(ends).success
+        assert alone.call_service(ends).success
     alone.run(2 * CYCLE)
     expected = {
         "cancel": "idle",
@@ -949,33 +844,6 @@ def test_two_thousand_markers_neither_crash_nor_stall_the_node(alone):
 
 
 # ---- the solver -------------------------------------------------------------------------------
-
-
-def fail(*_: Any) -> Any:
-    raise SolverError("the matrix is singular")
-
-
-def test_rest_of_the_plan_is_followed_to_rest_when_the_solver_fails(alone):
-    alone.send(*FAR)
-    alone.run(1.0)
-    wanted, solve = alone.core.motion, alone.core._solve
-    begin = alone.time
-    alone.core._solve = fail
-    for _ in range(60):
-        alone.run(TICK)
-        expected, _ = wanted.sample(alone.time - PERIOD)
-        assert alone.setpoint.pose == pytest.approx(expected, abs=4e-3)
-    alone.run_until(lambda: alone.time > wanted.end + 0.05, 3.0, "the end of the plan")
-    assert alone.true_speed() < 1e-9 and alone.time - begin < 2.5
-    values = alone.last_status()[2]
-    assert values["why"] == "solver: the matrix is singular" and values["plan_used"] == "False"
-    alone.run(2.2)
-    blocked = "blocked: solver: the matrix is singular"
-    assert alone.last_status()[:2] == (DiagnosticStatus.WARN, blocked)
-    assert all(w.startswith("last plan not used: solver: ") for w in alone.warnings)
-    alone.core._solve = solve
-    alone.arrive()
-    assert alone.distance(*FAR) < 0.03
 
 
 def slow(world: PlannerWithFakeController, seconds: float) -> None:
@@ -1065,28 +933,6 @@ def test_dead_wheel_slows_the_robot(alone):
     assert alone.core.limits.braking_scale == 0.5
 
 
-def fastest(world: PlannerWithFakeController) -> float:
-    """Return the largest speed in 1.3 s towards a goal 1 m ahead."""
-    x, y, theta = world.true_pose()
-    world.speeds.clear()
-    world.send(x + 1.0, y, theta)
-    world.run(1.3)
-    world.ask("cancel")
-    world.rest()
-    world.run(CYCLE)
-    return max(world.speeds)
-
-
-def test_limits_and_weights_can_change_at_run_time(alone):
-    usual = fastest(alone)
-    assert alone.set("limits.linear_velocity", 0.3).successful
-    assert 0.2 < fastest(alone) <= 0.85 * 0.3 * 1.035 < usual
-    assert alone.set("limits.linear_velocity", 1.0).successful
-    assert fastest(alone) == pytest.approx(usual, rel=0.02)
-    assert alone.set("weights.energy", 10.0).successful
-    assert 0.1 < fastest(alone) < 0.8 * usual
-
-
 def test_output_can_change_at_rest_only(alone):
     assert alone.set("output", "voltages").successful and not alone.core.anchored
     assert alone.set("output", "reference").successful and alone.core.anchored
@@ -1095,7 +941,7 @@ def test_output_can_change_at_rest_only(alone):
     result = alone.set("output", "voltages")
     assert not result.successful
     assert "output" in result.reason and "cancel it first" in result.reason
-    assert alone.core.anchored and alone.ask("cancel").success
+    assert alone.core.anchored and alone.call_service("cancel").success
     assert not alone.set("output", "voltages").successful, "it brakes still"
     alone.rest()
     alone.run(0.1)
@@ -1127,7 +973,7 @@ def test_shutdown_brings_the_robot_to_rest_and_refuses_goals(alone):
 
 
 def brake(world: PlannerWithRealController) -> None:
-    assert world.ask("pause").success
+    assert world.call_service("pause").success
 
 
 def end(world: PlannerWithRealController) -> None:
@@ -1244,38 +1090,17 @@ def test_straight_route_is_reported_and_published(alone):
     assert ends == [(0.0, 0.0), pytest.approx((1.0, 0.0))]
 
 
-def map_of(change: Callable[[OccupancyGrid], object]) -> Callable[[PlannerWorld], OccupancyGrid]:
-    def make(world: PlannerWorld) -> OccupancyGrid:
-        message = a_map(world, wall=False)
-        change(message)
-        return message
-
-    return make
-
-
-BAD_MAPS = {
-    "frame 'map', expected 'odom'": lambda m: setattr(m.header, "frame_id", "map"),
-    "3264 cells, expected 67 x 48": lambda m: setattr(m.info, "width", 67),
-    "not about the vertical": lambda m: setattr(
-        m.info.origin, "orientation", Quaternion(x=0.6, y=0.0, z=0.0, w=0.8)
-    ),
-    "the resolution is 0.0 m": lambda m: setattr(m.info, "resolution", 0.0),
-    "a cell has the value 101": lambda m: m.data.__setitem__(5, 101),
-}
-
-
-def test_invalid_maps_are_refused_and_the_last_map_stays(alone):
+def test_an_invalid_map_is_refused_and_the_last_map_stays(alone):
     maps = alone.publisher(OccupancyGrid, "map", LATCHED)
     maps.publish(a_map(alone))
     alone.run(2 * TICK)
     kept = alone.core.grid
     assert kept is not None and alone.warnings == []
-    for number, (words, change) in enumerate(BAD_MAPS.items(), start=1):
-        maps.publish(map_of(change)(alone))
-        alone.run(2 * TICK)
-        assert len(alone.warnings) == number, words
-        assert alone.warnings[-1].startswith("map ignored: ") and words in alone.warnings[-1]
-        assert alone.core.grid is kept
+    maps.publish(a_map(alone, wall=False, frame="map"))
+    alone.run(2 * TICK)
+    [warning] = alone.warnings
+    assert warning.startswith("map ignored: ") and "frame 'map', expected 'odom'" in warning
+    assert alone.core.grid is kept
     maps.publish(a_map(alone, wall=False))
     alone.run(2 * TICK)
     assert alone.core.grid is not kept and not alone.core.grid.occupied.any()
@@ -1310,25 +1135,3 @@ def test_the_kept_map_follows_its_threshold_and_what_unknown_cells_mean(alone):
     assert not alone.set("map_threshold", 0).successful
     assert alone.set("weights.energy", 10.0).successful
     assert alone.core.grid is kept
-
-
-def test_goal_in_a_wall_is_refused_and_a_new_wall_stops_the_robot(alone):
-    maps = alone.publisher(OccupancyGrid, "map", LATCHED)
-    alone.send(1.9, -0.5, 0.0)
-    alone.run(0.8)
-    assert alone.true_speed() > 0.2
-    shut = a_map(alone)
-    cells = np.array(shut.data).reshape(48, 68)
-    cells[:, 38:40] = 100
-    shut.data = cells.ravel().tolist()
-    maps.publish(shut)
-    gaps = []
-    alone.hooks.append(lambda: gaps.append(1.0 - 0.1 - alone.true_pose()[0]))
-    alone.run_until(lambda: alone.state is PlannerState.BLOCKED, 15.0, "the robot to be blocked")
-    alone.rest(3.0)
-    alone.run(0.5)  # until the status says so
-    assert min(gaps) > alone.core.model.half[1]
-    level, message, _ = alone.last_status()
-    assert level == DiagnosticStatus.WARN and message.startswith("blocked: the map at (")
-    alone.send(0.95, 0.0, 0.0)
-    assert "an obstacle stands where the robot would be" in alone.warnings[-1]

@@ -111,7 +111,7 @@ def test_a_goal_that_cannot_be_used_is_aborted_and_the_last_one_goes_on(world, f
 def test_a_goal_that_is_given_up_or_cancelled_elsewhere_is_aborted(world):
     _, future = world.client.send(pose=goal(*FAR))
     world.begin()
-    assert world.ask("cancel").success
+    assert world.call_service("cancel").success
     assert world.client.result(future, 2.0) == (ABORTED, UNKNOWN, "cancelled")
     _, future = world.client.send(pose=goal(*FAR))
     world.begin()

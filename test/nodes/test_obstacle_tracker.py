@@ -234,28 +234,6 @@ def test_odometry_that_jumps_begins_all_anew():
         assert not room.tracker.core.map.log_odds.any()
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"angle_increment": 0.0},
-        {"angle_min": math.nan},
-        {"range_max": 0.0},
-        {"time_increment": -1.0},
-        {"ranges": array("f", [1.0])},
-    ],
-)
-def test_a_bad_scan_changes_nothing(changes):
-    with Room() as room:
-        room.watch(0.3, walker)
-        before = room.tracker.core.map.log_odds.copy()
-        used = room.tracker.core.time
-        room.scan(walker(0.0, room.pose), **changes)
-        room.run(0.02)
-        assert room.tracker.core.time == used
-        np.testing.assert_array_equal(room.tracker.core.map.log_odds, before)
-        assert room.tracker.warning_counts
-
-
 def cloud_of(room, heights, ranges):
     points = np.concatenate(
         [

@@ -20,7 +20,6 @@ from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
-from test.nodes.bad_wheel_states import CASES, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
 from test.nodes.transforms import tf_installed
@@ -213,20 +212,6 @@ def test_after_a_restart_of_a_drive_a_gap_adds_to_the_covariance(wheels):
 
 
 # ---- invalid input and time ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_invalid_wheel_states_move_nothing(wheels, case):
-    wheels.turn(0.3)
-    wheels.run(2 * PERIOD)
-    pose, count = wheels.core.odometry.pose, len(wheels.odom)
-    wheels.run(0.3, lambda: wheels.states.publish(bad_wheel_states(case, wheels, wheels.names)))
-    assert wheels.core.odometry.pose == pose and len(wheels.odom) == count
-    assert wheels.warnings >= 50
-    turned = wheels.position + 0.3 * SPEEDS
-    wheels.position = turned
-    wheels.turn(0.1)
-    assert wheels.core.odometry.pose != pose, "good reports count again"
 
 
 def test_a_report_whose_positions_wrapped_is_used_and_not_said_to_be_unused(wheels):

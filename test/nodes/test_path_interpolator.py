@@ -11,26 +11,21 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Quaternion, Twist
 from nav_msgs.msg import Odometry, Path
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool, Float64, String
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.conversions.poses import path_message
-from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
-from omniman_ros.core.preview import Preview, Setpoint
+from omniman_ros.core.preview import Setpoint
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.path_interpolator.node import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
+from test.nodes.followers import FakeFollower, StreamWorld
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
 from test.tiers import exhaustive
@@ -46,32 +41,17 @@ def path(poses: Poses, frame: str = "odom") -> Path:
     return path_message(np.array(poses, dtype=float).reshape(-1, 3), frame)
 
 
-class InterpolatorWorld(World):
-    """An interpolator node with its recorded stream, progress, diagnostics and warnings.
-
-    Attributes:
-        maker, name, source: Class and name of the node, and the source that it is.
-    """
+class InterpolatorWorld(StreamWorld):
+    """An interpolator node with its stream, progress and diagnostics."""
 
     maker: type = PathInterpolatorNode
     name, source = "path_interpolator", "path"
 
     def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
-        super().__init__(self.maker, *others, parameters=parameters)
-        self.node: Any = self.nodes[0]
-        self.arrivals: list[float] = []
-        self.references: list[bytes] = []  # deserialized on demand, which is slow
-        self._previews: dict[int, Preview] = {}
-        self.probe.create_subscription(
-            MultiDOFJointTrajectory, f"{self.source}/reference", self._on_reference, 100, raw=True
-        )
-        self._await(lambda: self.subscription_count() > 0, "a publisher of references")
+        super().__init__(*others, parameters=parameters)
         self.progress = self.listen(Float64, "path_progress")
         self.diagnostics = self.listen(DiagnosticArray, "/diagnostics")
         self.listen_to_requests()
-        self.warnings: list[str] = []
-        warn = self.node.warn
-        self.node.warn = lambda subject, text: (self.warnings.append(text), warn(subject, text))
 
     def listen_to_requests(self) -> None:
         """Make the publishers of what the node is asked for."""
@@ -81,21 +61,9 @@ class InterpolatorWorld(World):
     def subscription_count(self) -> int:
         return int(self.node.motions.platform_previews.publisher.get_subscription_count())
 
-    def _on_reference(self, data: bytes) -> None:
-        self.references.append(data)
-        self.arrivals.append(self.time)
-
     def send(self, poses: Poses, **options: Any) -> None:
         self.paths.publish(path(poses, **options))
         self.run(2 * PERIOD)
-
-    def call_service(self, name: str) -> Trigger.Response:
-        return self.call(Trigger, f"{self.name}/{name}")
-
-    def set(self, name: str, value: object, node: str = "") -> Any:
-        given = value if isinstance(value, Parameter) else Parameter(name, value=value)
-        request = SetParameters.Request(parameters=[given.to_parameter_msg()])
-        return self.call(SetParameters, f"{node or self.name}/set_parameters", request).results[0]
 
     def drive_path(self, poses: Poses) -> None:
         """Send a path that may have to wait, and run until it has ended."""
@@ -106,12 +74,6 @@ class InterpolatorWorld(World):
     def run_to_end(self, seconds: float = 20.0) -> None:
         self.run_until(lambda: self.core.state is PathState.IDLE, seconds, "the end of the path")
 
-    def assert_silent(self, seconds: float = 1.0) -> None:
-        """Assert that nothing is streamed."""
-        before = len(self.references)
-        self.run(seconds)
-        assert len(self.references) == before
-
     def status(self, wait: float = 1.1) -> DiagnosticStatus:
         """Return the interpolator's latest diagnostics after waiting for an update.
 
@@ -120,17 +82,6 @@ class InterpolatorWorld(World):
         self.run(wait)
         ours = [s for array in self.diagnostics for s in array.status if self.name in s.name]
         return last(ours)
-
-    def message(self, i: int) -> MultiDOFJointTrajectory:
-        return deserialize_message(self.references[i], MultiDOFJointTrajectory)
-
-    def preview(self, i: int) -> Preview:
-        i %= len(self.references)
-        if i not in self._previews:
-            message = self.message(i)
-            start = time_seconds(message.header.stamp)
-            self._previews[i] = preview_from_message(message, start, ("odom",))
-        return self._previews[i]
 
     def received_motion(self, since: int = 0, step: float = 0.002) -> tuple[np.ndarray, ...]:
         """Return times (k,) and x, x', x'' (k, 3) as a receiver of the stream samples them."""
@@ -165,63 +116,12 @@ class InterpolatorWorld(World):
         return times, x, v, a
 
 
-class FakeControllerWorld(InterpolatorWorld):
-    """The interpolator with a fake controller that follows without delay.
-
-    Attributes:
-        follows_stream: Whether the controller follows the stream.
-        odometry: Returns the message to publish on odom; None publishes nothing.
-        busy_until: Time until which the controller reports no new source [s].
-    """
+class FakeControllerWorld(InterpolatorWorld, FakeFollower):
+    """The interpolator with a fake controller that follows without delay."""
 
     def __init__(self, parameters: dict[str, Any] | None = None, source: str = "none") -> None:
         super().__init__(parameters=parameters)
-        self.follows_stream, self.busy_until = True, 0.0
-        self.odometry: Callable[[], Odometry] | None = self.odom_message
-        self.setpoint = Setpoint(np.zeros(3), np.zeros(3), np.zeros(3))
-        self._odom = self.publisher(Odometry, "odom")
-        self._source = self.publisher(String, "active_source", LATCHED)
-        self._last_source, self._received_count = "", 0
-        self._preview: Preview | None = None
-        self.hooks.append(self._control)
-        if source:
-            self.publish_source(source)
-        else:
-            self.follows_stream = False
-        self.run(4 * PERIOD)
-
-    def publish_source(self, source: str) -> None:
-        """Publish the active source."""
-        if source != self._last_source:
-            self._last_source = source
-            self._source.publish(String(data=source))
-
-    def _control(self) -> None:
-        new = len(self.references) > self._received_count
-        self._received_count = len(self.references)
-        if not self.follows_stream:
-            self._preview = None
-        elif new:
-            self._preview = self.preview(-1)
-        if self._preview is not None:
-            self.setpoint = self._preview.sample(self.time + 1e-9)
-            held = 0.0 if self._preview.end_speed > 1e-6 else 0.2
-            if self.time > self.busy_until:
-                self.publish_source(
-                    self.source if self.time <= self._preview.end + held else "none"
-                )
-        if self.odometry is not None:
-            self._odom.publish(self.odometry())
-
-    def odom_message(self) -> Odometry:
-        """Return odometry at the present setpoint of the stream."""
-        message = Odometry()
-        message.header.frame_id, message.header.stamp = "odom", self.stamp()
-        x, y, theta = self.setpoint.pose.tolist()
-        message.pose.pose.position.x, message.pose.pose.position.y = x, y
-        message.pose.pose.orientation = quaternion_from_yaw(theta)
-        message.twist.twist = twist(*self.setpoint.velocity)
-        return message
+        self.follow(source)
 
 
 class RealControllerWorld(InterpolatorWorld):

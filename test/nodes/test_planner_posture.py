@@ -102,26 +102,6 @@ def test_the_names_of_the_joints_may_be_in_any_order(world):
     assert world.ahead == pytest.approx(0.5, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("q", "names", "why"),
-    [
-        ((math.nan, *STRETCHED[1:]), UR_JOINTS, "position"),
-        ((math.inf, *STRETCHED[1:]), UR_JOINTS, "position"),
-        (STRETCHED, ("a", *UR_JOINTS[1:]), "shoulder_pan_joint"),
-        (STRETCHED[:5], UR_JOINTS, "5 position"),
-        ((), UR_JOINTS, "no position"),
-    ],
-)
-def test_states_that_cannot_be_used_change_nothing_and_do_not_count_as_fresh(world, q, names, why):
-    world.send(REST)
-    before = world.ahead
-    for _ in range(60):
-        world.send(q, names)
-        assert world.ahead == before
-    assert any(why in text for text in world.warnings)
-    assert world.source is ArmConfigurationSource.LAST_MEASURED
-
-
 def test_states_out_of_order_or_from_the_future_are_ignored(world):
     early = world.stamp()
     world.run(0.1)

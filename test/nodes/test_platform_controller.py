@@ -22,11 +22,11 @@ from omniman_ros.nodes.platform_controller import (
     PlatformControllerParameters,
 )
 from omniman_ros.nodes.stop_interface import LATCHED
-from test.nodes.bad_wheel_states import CASES, INF, NAN, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import Rig, reference, twist
 from test.tiers import exhaustive
 
+NAN, INF = math.nan, math.inf
 STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, plus a margin
 
 
@@ -34,11 +34,6 @@ STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, plus a margi
 def rig():
     with Rig() as rig:
         yield rig
-
-
-def heading(message) -> float:
-    q = message.pose.pose.orientation
-    return 2.0 * math.atan2(q.z, q.w)
 
 
 def straight(rig: Rig, speed: float = 0.4, seconds: float = 0.5) -> MultiDOFJointTrajectory:
@@ -95,37 +90,7 @@ def test_stamped_cmd_vel_is_selected_by_parameter():
         assert not core.at_rest
 
 
-def test_path_reference_is_followed(rig):
-    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    t = np.linspace(0.0, 4.0, 101)
-    s, v = t - np.sin(np.pi * t / 2) * 2 / np.pi, 1 - np.cos(np.pi * t / 2)
-    poses = [(0.1 * a, 0.05 * a, 0.1 * a) for a in s]
-    velocities = [(0.1 * b, 0.05 * b, 0.1 * b) for b in v]
-    publisher.publish(reference(t, poses, velocities, rig.stamp()))
-    rig.run(2.0)
-    assert last(rig.listen(String, "active_source", LATCHED)).data == "path"
-    rig.run(2.0 + PERIOD)
-    assert np.abs(rig.core.tracking_error).max() < 1e-3
-    assert rig.core.odometry.pose == pytest.approx((0.4, 0.2, 0.4), abs=1e-3)
-    rig.run(0.5)
-    assert not rig.speeds()[-1].any()
-
-
 # ---- arbitration ------------------------------------------------------------------------------
-
-
-def test_cmd_vel_has_priority_over_path_and_path_does_not_resume(rig):
-    active = rig.listen(String, "active_source", LATCHED)
-    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    rig.run(0.3, lambda: publisher.publish(straight(rig)))
-    rig.drive(0.0, 0.2, 0.0, seconds=0.3)
-    since = len(rig.commands)
-    rig.run(1.5, lambda: publisher.publish(straight(rig)))
-    assert not rig.speeds(since)[-1].any(), "a cancelled path took over again"
-    assert [m.data for m in active] == ["none", "path", "cmd_vel", "none"]
-    rig.run(1.1)  # the stream falls silent, and a new goal may start
-    rig.run(0.3, lambda: publisher.publish(straight(rig)))
-    assert last(active).data == "path"
 
 
 def test_mpc_has_priority_over_path(rig):
@@ -258,33 +223,7 @@ def test_that_the_robot_is_ready_is_logged_once(capfd):
     assert "drive with /cmd_vel (geometry_msgs/msg/Twist)" in said[0]
 
 
-def test_stopped_peer_holds_the_robot_and_releases_without_a_reset(rig):
-    publisher = rig.publisher(DiagnosticStatus, "stop_state", LATCHED)
-    states = rig.listen(DiagnosticStatus, "stop_state", LATCHED)
-    publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/arm", message="x"))
-    rig.drive(0.3, seconds=0.3)
-    assert rig.core.at_rest
-    ours = [m for m in states if m.name == "/platform_controller"]
-    assert ours[-1].level == DiagnosticStatus.WARN and "/arm" in ours[-1].message
-    publisher.publish(DiagnosticStatus(level=DiagnosticStatus.OK, name="/arm"))
-    rig.run(1.1)
-    rig.drive(0.3, seconds=0.3)
-    assert not rig.core.at_rest
-
-
 # ---- invalid input ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bad", [NAN, INF, exhaustive(-INF), exhaustive(1e308)])
-@pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
-def test_non_finite_cmd_vel_causes_no_motion(rig, field, bad):
-    message = Twist()
-    message.linear.x = 0.3
-    part, name = field.split(".")
-    setattr(getattr(message, part), name, bad)
-    since = len(rig.commands)
-    rig.run(0.3, lambda: rig.cmd_vel.publish(message))
-    assert not rig.speeds(since).any()
 
 
 def test_rejected_cmd_vel_does_not_count_as_fresh(rig):
@@ -294,48 +233,22 @@ def test_rejected_cmd_vel_does_not_count_as_fresh(rig):
     assert not rig.speeds(since)[-1].any()
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_invalid_wheel_states_never_count_as_fresh(rig, case):
+@pytest.mark.parametrize(("ahead", "speed"), [(0.0, NAN), (-3.0, 0.0), (1.0, 0.0)])
+def test_invalid_wheel_states_never_count_as_fresh(rig, ahead, speed):
     rig.drive(0.3, seconds=0.5)
     rig.drive_alive = False
     since = len(rig.commands) - 1
     pose = rig.core.odometry.pose
-    rig.hooks.append(lambda: rig._states.publish(bad_wheel_states(case, rig, rig.names)))
+
+    def send() -> None:
+        message = rig.wheel_state([0.0] * 4, [speed, 0.0, 0.0, 0.0])
+        message.header.stamp = rig.stamp(ahead)
+        rig._states.publish(message)
+
+    rig.hooks.append(send)
     rig.assert_stops(since, within=0.2 + STOP_TIME)
     assert "wheel_states" in rig.core.latch.status.reason
     assert rig.core.odometry.pose == pytest.approx(pose, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    "case", ["frame", "joint", "nan", "backwards", "empty", "past", "tilted", "ahead"]
-)
-def test_invalid_previews_cause_no_motion(rig, case):
-    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-
-    def send() -> None:
-        message = straight(rig)
-        if case == "frame":
-            message.header.frame_id = "map"
-        elif case == "joint":
-            message.joint_names = ["arm"]
-        elif case == "nan":
-            message.points[1].transforms[0].translation.x = NAN
-        elif case == "backwards":
-            message.points[1].time_from_start.sec = -1
-        elif case == "empty":
-            message.points = []
-        elif case == "past":
-            message.header.stamp = rig.stamp(-5.0)
-        elif case == "tilted":
-            message.points[0].transforms[0].rotation.x = 1.0
-            message.points[0].transforms[0].rotation.w = 0.0
-        elif case == "ahead":
-            message.header.stamp = rig.stamp(0.5)
-        publisher.publish(message)
-
-    since = len(rig.commands)
-    rig.run(0.3, send)
-    assert not rig.speeds(since).any()
 
 
 def test_fuzzed_messages_cause_no_crash_and_no_motion():
@@ -407,61 +320,6 @@ def test_warnings_are_rate_limited(rig):
 
 
 # ---- odometry ---------------------------------------------------------------------------------
-
-
-def test_set_pose_and_reset_odometry_set_the_pose(rig):
-    publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id = "odom"
-    message.pose.pose.position.x = 2.0
-    message.pose.pose.orientation.z = message.pose.pose.orientation.w = math.sqrt(0.5)
-    message.pose.covariance[0] = 0.25
-    publisher.publish(message)
-    rig.run(0.1)
-    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0)
-    assert heading(last(rig.odom)) == pytest.approx(math.pi / 2)
-    assert last(rig.odom).pose.covariance[0] == pytest.approx(0.25)
-    message.header.frame_id = "map"
-    message.pose.pose.position.x = 5.0
-    publisher.publish(message)
-    rig.run(0.1)
-    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0), "map differs from odom here"
-    assert rig.call(Trigger, "platform_controller/reset_odometry").success
-    rig.run(0.1)
-    assert last(rig.odom).pose.pose.position.x == 0.0
-
-
-def test_odom_marks_unmeasured_directions_in_its_covariance(rig):
-    rig.drive(0.3, 0.0, 0.2, seconds=1.0)
-    message = last(rig.odom)
-    for covariance in (message.pose.covariance, message.twist.covariance):
-        diagonal = np.array(covariance).reshape(6, 6).diagonal()
-        assert (diagonal[[2, 3, 4]] == 1e6).all()
-        assert (diagonal[[0, 1, 5]] > 0.0).all() and (diagonal[[0, 1, 5]] < 0.01).all()
-
-
-def test_map_frame_equals_odom_by_parameter():
-    with Rig({"map_is_odom": True}) as rig:
-        publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
-        message = PoseWithCovarianceStamped()
-        message.header.frame_id = "map"
-        message.pose.pose.position.y = 3.0
-        publisher.publish(message)
-        rig.run(0.1)
-        assert rig.core.odometry.pose == (0.0, 3.0, 0.0)
-
-
-def test_wheel_states_in_another_order_are_sorted_by_name(rig):
-    rig.run(0.1)
-    rig.drive_alive = False
-    rig.position = rig.position + [0.1, 0.2, 0.3, 0.4]
-    message = rig.wheel_state(rig.position, [1.0, 2.0, 3.0, 4.0])
-    message.name = message.name[::-1]
-    message.position = message.position[::-1]
-    message.velocity = message.velocity[::-1]
-    rig._states.publish(message)
-    rig.run(PERIOD)
-    assert rig.core.feedback.speeds.tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
 # ---- parameters -------------------------------------------------------------------------------
@@ -572,33 +430,6 @@ def test_backward_jump_of_simulated_time_stops_and_allows_a_new_start(rig):
 # ---- extreme inputs ---------------------------------------------------------------------------
 
 
-def test_negative_stamps_are_stale(rig):
-    message = rig.wheel_state(rig.position, [0.0] * 4)
-    message.header.stamp.sec = -1
-    voltage = JointState(name=rig.names, effort=[9.0] * 4)
-    voltage.header.stamp.sec = -2_000_000_000
-    publisher = rig.publisher(JointState, "mpc/voltages")
-    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    preview = straight(rig)
-    preview.header.stamp.sec = -1
-    since = len(rig.commands)
-    for topic, bad in ((rig._states, message), (publisher, voltage), (path, preview)):
-        topic.publish(bad)
-        rig.run(0.1)
-    assert not rig.speeds(since).any()
-
-
-def test_huge_covariance_is_rejected(rig):
-    publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id = "odom"
-    message.pose.pose.position.x = 2.0
-    message.pose.covariance[0] = 1.7e308
-    publisher.publish(message)
-    rig.run(0.1)
-    assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
-
-
 @pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
 def test_absurd_acceleration_in_a_preview_stays_within_the_limits(mode):
     from geometry_msgs.msg import Twist as Acceleration
@@ -660,29 +491,11 @@ def test_unstamped_setpoint_that_waited_in_its_queue_does_not_drive(
     assert rig.speeds()[-1].all(), "the next one drives"
 
 
-def test_preview_of_the_far_future_causes_no_motion(rig):
-    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    since = len(rig.commands)
-    late = reference([2e9], [(0.4, 0, 0)], [(0, 0, 0)], rig.stamp())
-    rig.run(0.2, lambda: path.publish(late))
-    assert not rig.speeds(since).any()
-
-
 def test_flood_of_previews_does_not_delay_the_tick(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     before = len(rig.commands)
     rig.run(0.5, lambda: [path.publish(straight(rig)) for _ in range(5)])
     assert len(rig.commands) - before == pytest.approx(100, abs=1)
-
-
-def test_preview_with_too_many_points_is_rejected_unread(rig):
-    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
-    message = straight(rig)
-    message.points = message.points[:1] * 6000
-    since = len(rig.commands)
-    path.publish(message)
-    rig.run(0.2)
-    assert not rig.speeds(since).any()
 
 
 def test_wheel_calibration_changes_only_at_rest(rig):

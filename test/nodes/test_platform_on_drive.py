@@ -7,7 +7,6 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
-from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
@@ -16,7 +15,6 @@ from omniman_ros.nodes.stop_interface import LATCHED
 from test import robots
 from test.nodes.harness import World, last
 from test.nodes.rig import twist
-from test.tiers import exhaustive, representative
 
 
 class Robot(World):
@@ -47,59 +45,6 @@ class Robot(World):
         request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
         result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
         assert result.successful, result.reason
-
-
-@pytest.mark.parametrize("robot", representative(robots.ALL, every=3))
-def test_three_to_eight_wheels_follow_their_setpoints_and_stop(robot):
-    with Robot(robot) as world:
-        world.go(0.25, -0.15, 0.3, seconds=1.5)
-        assert world.true_twist() == pytest.approx([0.25, -0.15, 0.3], abs=0.02)
-        odom, truth = world.core.odometry.pose, world.drive.drives.ground_truth()[0]
-        assert odom == pytest.approx(truth.tolist(), abs=0.01)
-        world.run(1.5)
-        assert np.abs(world.true_twist()).max() < 1e-3
-        assert not np.abs(world.wheel_speeds[-1]).max() > 0.02
-
-
-def emergency(world: Robot) -> None:
-    world.publisher(Bool, "emergency_stop").publish(Bool(data=True))
-
-
-def stop_controller(world: Robot) -> None:
-    assert world.call(Trigger, "platform_controller/stop").success
-
-
-def stop_drive(world: Robot) -> None:
-    assert world.call(Trigger, "simulated_drive/stop").success
-
-
-def lose_states(world: Robot) -> None:
-    world.set("simulated_drive", "faults.lost_messages", 1.0)
-
-
-def late_states(world: Robot) -> None:
-    world.set("simulated_drive", "faults.late_messages", 0.5)
-
-
-def controller_dies(world: Robot) -> None:
-    world.executor.remove_node(world.controller)
-
-
-WAYS = [emergency, stop_controller, stop_drive, lose_states, late_states, controller_dies]
-
-
-@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
-def test_every_cause_of_a_stop_stops_every_true_wheel_despite_a_stream(way):
-    with Robot() as world:
-        world.go(0.3, 0.2, 0.3, seconds=1.5)
-        assert np.abs(world.wheel_speeds[-1]).min() > 0.5
-        way(world)
-        begin = len(world.wheel_speeds)
-        world.go(0.3, 0.2, 0.3, seconds=2.0)
-        speeds = np.abs(np.array(world.wheel_speeds[begin - 1 :]))
-        assert speeds[-1].max() < 0.02
-        world.go(0.3, 0.2, 0.3, seconds=0.5)
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 
 def test_robot_tolerates_lost_and_late_wheel_states():
@@ -168,40 +113,3 @@ def test_three_wheels_drive_on_until_repair_and_reset():
         world.go(0.3, 0.0, 0.0, seconds=1.5)
         assert last(health).level == DiagnosticStatus.OK
         assert world.core.wheel_health.idle == ()
-
-
-@pytest.mark.parametrize(
-    ("mode", "moving"),
-    [
-        ("velocity", True),
-        ("torque", False),
-        exhaustive("velocity", False),
-        exhaustive("torque", True),
-    ],
-)
-def test_frozen_encoder_stops_all_true_wheels(mode, moving):
-    """The wheel's own speed loop cannot stop the wheel because its measured speed is false."""
-    with Robot("omniman", {"drive.mode": mode}) as world:
-        world.go(0.4 if moving else 0.0, 0.0, 0.0, seconds=1.0)
-        world.set("simulated_drive", "faults.frozen_encoder", ["rear_right"])
-        world.go(0.4, 0.0, 0.0, seconds=2.5)
-        assert "rear_right" in world.core.latch.status.reason
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
-        world.go(0.4, 0.0, 0.0, seconds=0.5)
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
-
-
-def test_restarted_drive_starts_no_motion_by_itself():
-    with Robot() as world:
-        world.go(0.3, 0.0, 0.0, seconds=1.0)
-        world.set("simulated_drive", "faults.lost_messages", 1.0)
-        world.go(0.3, 0.0, 0.0, seconds=1.5)
-        world.set("simulated_drive", "faults.lost_messages", 0.0)
-        world.go(0.3, 0.0, 0.0, seconds=1.0)
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
-        assert world.call(Trigger, "platform_controller/reset").success
-        world.go(0.3, 0.0, 0.0, seconds=1.0)
-        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
-        world.go(0.0, 0.0, 0.0, seconds=0.1)
-        world.go(0.3, 0.0, 0.0, seconds=1.0)
-        assert world.true_twist()[0] == pytest.approx(0.3, abs=0.02)

@@ -153,75 +153,6 @@ def test_the_last_ground_truth_before_the_end_is_that_of_rest_and_is_delivered()
         assert [p.topic_name for p in drive.node.final_publishers] == ["/ground_truth/odom"]
 
 
-@pytest.mark.parametrize("way", [service, emergency])
-def test_latched_stop_ignores_commands_until_a_reset(drive, way):
-    drive.command(0.5, [3.0] * 4)
-    button = way(drive)
-    assert not drive.call(Trigger, "simulated_drive/reset").success
-    drive.command(1.5, [3.0] * 4)
-    assert np.abs(drive.speeds).max() < 0.02
-    if way is emergency:
-        assert not drive.call(Trigger, "simulated_drive/reset").success
-        button.publish(Bool(data=False))
-        drive.run(0.1)
-    assert drive.call(Trigger, "simulated_drive/reset").success
-    drive.run(0.5)
-    assert np.abs(drive.speeds).max() < 0.02, "the reset started a motion"
-    drive.command(0.5, [3.0] * 4)
-    assert drive.speeds.min() > 1.0
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"velocity": [NAN, 1, 1, 1]},
-        {"velocity": [INF] * 4},
-        {"velocity": [1.0] * 3},
-        {"velocity": [1.0] * 4, "effort": [NAN] * 4},
-        {"velocity": [3.0] * 4, "names": ["a", "b", "c", "d"]},
-        {"velocity": [3.0] * 4, "names": NAMES[:1] * 4},
-        {"velocity": [3.0] * 4, "age": 0.5},
-        {"velocity": [3.0] * 4, "age": -0.5},
-        {},
-    ],
-    ids=["nan", "inf", "short", "nan effort", "names", "twice", "stale", "ahead", "empty"],
-)
-def test_invalid_commands_cause_no_motion(drive, options):
-    drive.command(0.5, **options)
-    assert not drive.speeds.any()
-
-
-def test_huge_commands_stay_within_the_motors_limits(drive):
-    drive.command(0.5, [1e300] * 4, [-1e300] * 4)
-    drive.volts(0.5, [1e300, -1e300, 1e300, -1e300])
-    assert not drive.speeds.any(), "these fields are not inputs"
-    drive.command(1.0, [9e4] * 4, [-9e5] * 4)
-    drive.volts(0.5, [9e5, -9e5, 9e5, -9e5])
-    assert np.isfinite(drive.speeds).all() and np.abs(drive.speeds).max() < 30.0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("faults.dead_motor", ["rear_left"]),
-        ("faults.stuck_wheel", ["rear_left"]),
-        ("faults.frozen_encoder", ["rear_left"]),
-    ],
-)
-def test_faults_change_at_runtime(drive, name, value):
-    drive.command(0.5, [3.0] * 4)
-    assert drive.set(name, value).successful
-    drive.command(0.5, [2.0] * 4)
-    state = dict(zip(NAMES, last(drive.states).velocity, strict=True))
-    if name == "faults.frozen_encoder":
-        assert state["rear_left"] == pytest.approx(3.0, abs=0.1) or state["rear_left"] == 0.0
-    if name == "faults.stuck_wheel":
-        assert abs(drive.speeds[2]) < 0.05
-    if name == "faults.dead_motor":
-        assert abs(last(drive.states).effort[2]) < 1e-6
-    assert not drive.set(name, ["no_such_wheel"]).successful
-
-
 def test_message_loss_and_delay_change_at_runtime(drive):
     assert drive.set("faults.lost_messages", 1.0).successful
     drive.run(0.1)
@@ -330,13 +261,6 @@ def test_the_plants_mass_is_where_the_arm_is():
         assert drive.set("arm.mass", 200.0).successful  # beside the wheels: the plant cannot tip
         assert drive.node.warning_counts["posture"] == 1
         assert np.isfinite(plant._loads).all()
-
-
-def test_negative_stamps_are_stale(drive):
-    message = drive.message(velocity=[3.0] * 4)
-    message.header.stamp.sec = -1
-    drive.run(0.2, lambda: drive._commands.publish(message))
-    assert not drive.speeds.any()
 
 
 def test_a_stamp_is_read_by_the_clock_that_the_drive_publishes():

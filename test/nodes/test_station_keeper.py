@@ -158,14 +158,6 @@ def test_a_station_is_refused_while_something_else_drives(follower, source):
     assert follower.node.warning_counts == {"station refused": 1}
 
 
-def test_a_station_is_refused_without_a_leader(follower):
-    follower.is_led = False
-    follower.run(0.1)
-    follower.stations.publish(station(*OFFSET))
-    follower.run(0.5)
-    assert not follower.references and follower.node.warning_counts == {"station refused": 1}
-
-
 def test_cancel_brings_the_robot_to_rest_beside_a_leader_that_drives_on(follower):
     follower.keep()
     assert follower.call(Trigger, "station_keeper/cancel").success
@@ -224,13 +216,6 @@ def test_a_leader_without_usable_odometry_lets_the_robot_brake_until_it_is_back(
     assert follower.node.status()[0] == DiagnosticStatus.WARN
     follower.is_led = True
     follower.run_until(lambda: follower.core.state is StationState.KEEPING, 5.0, "the station")
-
-
-def test_a_jump_of_the_leader_is_given_up_for_good(follower):
-    follower.keep().led_x += 1.0
-    follower.run(0.1)
-    follower.rest()
-    follower.assert_given_up("jumped by 1.0")
 
 
 # ---- the own robot ------------------------------------------------------------------------------

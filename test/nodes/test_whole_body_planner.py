@@ -21,6 +21,7 @@ from test.tiers import exhaustive
 
 AHEAD = [(0.3, 0.0, 0.0), (1.2, 0.0, 0.0)]  #: A straight path of the tool
 SHORT = [(0.2, 0.0, 0.0), (0.2, 0.1, 0.0)]  #: A path with a corner that is done soon
+RISING = [(0.3, 0.0, 0.1), (0.8, 0.0, 0.5)]  #: A path that only a tilted tool can follow
 #: A post where the platform would be in a fixed posture
 BESIDE = Post(1.0, -0.42, 0.1, (0.0, 1.2))
 PASSING = Post(0.0, -0.5, 0.1, (0.0, 1.2))  #: A post that comes to stand 5 cm beside the platform
@@ -307,6 +308,27 @@ def test_an_impossible_path_is_refused_before_anything_moves(world, case):
     world.wait_for_plan()
     assert any(words in text for text in world.warnings), world.warnings
     assert world.body.idle and not world.references and not world.joint_previews
+
+
+def test_a_free_axis_counts_from_the_next_path_on(world):
+    assert not world.set("orientation.cone", 0.2).successful, "there is no axis yet"
+    world.send_tool(RISING)
+    world.wait_for_plan()
+    assert any("from which the arm reaches" in text for text in world.warnings), world.warnings
+    assert world.set("orientation.free_axis", "x").successful
+    world.lead(RISING)
+    free = world.body.core.task.redundancy.free
+    assert world.set("orientation.free_axis", "none").successful
+    world.run_to_motion_end(40.0)
+    assert free is not None
+    end = world.tool_references[-1].pose
+    reached = [end.position.x, end.position.y, end.position.z]
+    assert reached == pytest.approx(START[:3, 3] + RISING[-1], abs=6e-4)
+    assert world.tool_errors().max() < 1e-4
+    x, y, z, w = (getattr(end.orientation, name) for name in "xyzw")
+    axis = [1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)]
+    assert axis == pytest.approx(START[:3, 0], abs=1e-3)
+    assert abs(2 * (y * z + x * w) - START[2, 1]) > 0.1, "it has turned about x"
 
 
 def test_a_wall_of_the_map_counts_and_unknown_cells_by_parameter(world):

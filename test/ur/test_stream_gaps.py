@@ -15,7 +15,7 @@ from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.reverse_interface import ProgramMode, pack
 from omniman_ros.ur.servo_program import servo_program
 from omniman_ros.ur.streaming_messages import StreamingPhase
-from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
+from omniman_ros.ur.streaming_supervisor import StreamingSupervisor, joint_limits
 from test.tiers import combinations
 from test.ur.stepped_link import SteppedLink
 
@@ -122,9 +122,27 @@ def test_arm_that_cannot_catch_up_after_a_long_gap_comes_to_rest_without_a_stop(
     assert world.controller.safety_mode == Cb3SafetyMode.NORMAL
     assert world.controller.runtime == Cb3RuntimeState.PLAYING
     assert np.abs(world.speeds).max() < FASTEST
+    assert np.abs(accelerations(world)).max() < HARDEST
     assert not world.streamer.stop_reason
     if world.streamer.take_refusals():
         assert world.streamer.at_rest
+
+
+def test_arm_keeps_its_limits_when_setpoints_arrive_a_cycle_later_and_earlier_again():
+    world = World()
+    world.swing(3.9)
+    assert np.abs(world.speeds[-1]).min() > 0.8 * FASTEST
+    world.cycle_controller()
+    world.swing(0.8)
+    world.due += CYCLE
+    world.streamer.tick(world.due, world.now)
+    world.swing(0.8)
+    assert not world.streamer.stop_reason
+    assert not world.streamer.take_refusals()
+    assert np.abs(world.speeds).max() < FASTEST
+    assert np.abs(accelerations(world)).max() < HARDEST
+    arm, reference = world.controller.arm, world.motion(np.array([world.now]))[0][0]
+    assert arm.q == pytest.approx(reference, abs=0.02)
 
 
 @pytest.mark.parametrize("missed", [4, 20, 70])
@@ -141,7 +159,8 @@ def test_simulated_controller_that_was_held_up_moves_the_arm_evenly(missed):
         speeds.append(arm.qd.copy())
 
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        text = servo_program(UrParameters(), *listener.getsockname())
+        limits = joint_limits(ARM, UrParameters())
+        text = servo_program(UrParameters(), limits, *listener.getsockname())
         assert server.controller.start(text)
         cycle()
         program, _ = listener.accept()

@@ -337,6 +337,16 @@ def test_arm_that_does_not_follow_is_stopped_within_the_limits(rig):
     assert np.abs(np.diff(rig.speeds)).max() <= 5.0 * PERIOD + 2e-6 / PERIOD
 
 
+def test_higher_limits_apply_from_the_next_program_on(rig):
+    rig.streamer.configure(ArmParameters(acceleration=(10.0,)), rig.ur)
+    rig.preview(0.35, 0.5)  # up to 8.1 rad/s^2
+    assert "the limit is 5 rad/s^2" in rig.streamer.take_refusals()[0]
+    rig.streamer.finish()
+    rig.cycle(2)
+    rig.streaming().preview(0.35, 0.5)
+    assert not rig.streamer.take_refusals()
+
+
 @pytest.mark.parametrize("late", [1, 2, 3, 4])
 def test_late_cycles_are_caught_up_without_a_jump(rig, late):
     moving(rig)

@@ -135,19 +135,33 @@ def test_a_plan_is_shown_by_platform_and_arm_at_each_instant_and_by_what_it_avoi
         for q, t in zip(plan, (0.0, 1.0), strict=True)
     ]
     view = shapes.plan_view(plan, way)
-    here, there = np.split(view.ghosts, 2)
-    assert len(here) == 4 + 6, "edges of the platform, and links of the arm"
-    turned = np.stack([1.0 - here[..., 1], 2.0 + here[..., 0], here[..., 2]], axis=-1)
-    assert there == pytest.approx(turned)
+    assert len(view.ghosts) == 4 + 6, "edges of the platform, and links of the arm"
     box = robot_parameters("omniman")
-    assert np.ptp(here[:4].reshape(-1, 3), axis=0)[:2] == pytest.approx(
-        [box["body.length"], box["body.width"]]
-    )
+    x, y, z = np.moveaxis(view.ghosts[:4].reshape(-1, 3), 1, 0)
+    assert (x.mean(), y.mean()) == pytest.approx((1.0, 2.0))
+    sizes = box["body.width"], box["body.length"]
+    assert (np.ptp(x), np.ptp(y), np.ptp(z)) == pytest.approx((*sizes, 0.0)), "it is turned"
+    mount = (1.0, 2.0 + box["mount.x"], box["mount.z"])
+    assert view.ghosts[4, 0] == pytest.approx(mount)
     assert view.nearest is not None
-    assert view.nearest.line[1, :2] == pytest.approx([2.0, 2.0]), "where it is by then"
     gap = 1.0 - 0.5 * box["body.width"] - 0.2
     assert view.nearest.distance == pytest.approx(gap, abs=1e-6)
+    begin, end = view.nearest.line
+    assert end[:2] == pytest.approx([1.8, 2.0]), "the surface of what is there by then"
+    assert math.dist(begin, end) == pytest.approx(gap, abs=1e-6)
     assert shapes.plan_view(plan, [near((50.0, 0.0, 0.2))] * 2).nearest is None
+
+
+def test_ghosts_are_apart_from_the_robot_and_from_each_other(shapes):
+    plan = np.zeros((9, 9))
+    plan[:, 3:], plan[:, 0] = ARM, (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75)
+    nothing = near(*np.zeros((0, 3)))
+    ghosts = shapes.plan_view(plan, [nothing] * 9).ghosts.reshape(-1, 10, 2, 3)
+    places = ghosts[:, :4, :, 0].mean(axis=(1, 2))
+    assert places == pytest.approx((0.75, 0.5, 0.3)), "the end, and what leads there"
+    turning = np.zeros((3, 9))
+    turning[:, 3:], turning[:, 3] = ARM, (0.0, 0.6, 1.2)
+    assert len(shapes.plan_view(turning, [nothing] * 3).ghosts) == 2 * 10, "the arm counts, too"
 
 
 def test_without_anything_near_there_is_no_nearest(shapes):

@@ -26,6 +26,14 @@ def add_goal(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--relative", action="store_true", help="interpret the goal relative to the robot's pose"
     )
+    parser.add_argument(
+        "--joints",
+        type=float,
+        nargs="+",
+        metavar="ANGLE",
+        help="move the arm to these angles meanwhile, from base to tool [degrees]; needs the "
+        "whole-body planner (`omniman up --whole-body-planner`)",
+    )
     _add_timeout(parser, 120.0)
     add_namespace(parser, "namespace of the robot")
 

@@ -9,6 +9,7 @@ the tool is to be at that time. CPU times are of this process.
 import argparse
 import os
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from omniman_ros.lab.bench.harness import (
     cycle_figures,
     in_processes,
 )
+from omniman_ros.lab.reproduce.pipeline import draw_picture
 from omniman_ros.lab.studies.avoidance_scenes import (
     CROWD,
     KINDS,
@@ -53,18 +55,27 @@ CPU_AIM = {"median": 10.0, "p99": 20.0, "max": 50.0}  #: Aims: largest CPU times
 SEARCH_AIM = 1.0  #: Aim: largest CPU time of a search for a way [s]
 
 
-def drive_scene(robot: str, kind: str, seed: int, method: str) -> dict[str, Any] | None:
-    """Return the figures of a scene; None where the seed has no scene."""
+def scene_seeds(robot: str, kind: str, count: int) -> list[int]:
+    """Return the seeds of the first scenes of a kind; a few seeds have none."""
+    return [seed for seed, _ in SceneGenerator(robot).scenes(kind, count)]
+
+
+def drive_scene(robot: str, kind: str, seed: int, method: str) -> dict[str, Any]:
+    """Return the figures of a scene."""
     generator = SceneGenerator(robot)
     scene = generator.scene(kind, seed)
-    if scene is None:
-        return None
+    assert scene is not None  # as `scene_seeds` has found it
     values = dict(robot_parameters(resolve_robot(robot)))
     loop = BodyLoop(values, WHEELS, scene, START[3:], seed)
     driver = _drivers(generator, scene)[method]()
     record = loop.run(driver, SPAN * scene.fixed.duration + SPARE)
-    found = figures_of(judged(generator, scene, record), scene.fixed.duration)
-    figures = {"kind": kind, "seed": seed, "method": method, **found}
+    unhindered, dodge = scene.fixed.duration, generator.setup.dodge
+    figures = {"kind": kind, "seed": seed, "method": method}
+    figures |= figures_of(judged(generator, scene, record), unhindered)
+    least = scene.least_time(
+        generator.setup.path.linear_velocity, dodge.moving_clearance, dodge.time_gap
+    )
+    figures["least_ratio"] = least / unhindered
     if isinstance(driver, AvoidingBody):
         figures["cycle_times"] = [
             sum(pair) for pair in zip(driver.cycle_times, driver.preview_times, strict=True)
@@ -113,7 +124,9 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "contacts": sum(row["contact"] for row in rows),
         "contacts_at_rest": sum(row["contact_at_rest"] for row in rows),
         "least_gap_mm": min(row["least_gap_mm"] for row in rows),
+        "time_ratios": sorted(row["time_ratio"] for row in clear),
         "time_ratio": float(np.median([row["time_ratio"] for row in clear])) if clear else None,
+        "could_be_fast": sum(row["least_ratio"] <= FAST_RATIO for row in rows),
         "tool_rms_mm": max(row["tool_rms_mm"] for row in rows),
         "tool_max_mm": max(row["tool_max_mm"] for row in rows),
         "failed": [f"{row['kind']} {row['seed']}" for row in rows if row not in clear],
@@ -129,16 +142,25 @@ def run(args: argparse.Namespace) -> int:
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
     jobs, count = args.jobs or os.cpu_count() or 1, 1 if args.quick else args.scenes or SCENES
+    kinds = [kind for group in GROUPS.values() for kind in group]
+    found_seeds = in_processes(scene_seeds, [(args.robot, kind, count) for kind in kinds], jobs)
+    seeds = dict(zip(kinds, found_seeds, strict=True))
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "groups": {}}
     result["conditions"] = {"scenes_of_a_kind": count, "jobs": jobs, "wheels": WHEELS}
-    for group, kinds in GROUPS.items():
+    for group in GROUPS:
         found: dict[str, Any] = {}
         for method in METHODS:
             say(f"{group}: {method} ...")
-            tasks = [(args.robot, kind, seed, method) for kind in kinds for seed in range(count)]
-            rows = [row for row in in_processes(drive_scene, tasks, jobs) if row is not None]
-            found[method] = summary(rows)
+            tasks = [
+                (args.robot, kind, seed, method) for kind in GROUPS[group] for seed in seeds[kind]
+            ]
+            found[method] = summary(in_processes(drive_scene, tasks, jobs))
         result["groups"][group] = found
+    result["picture"] = draw_picture(
+        lambda f, path: f.draw_outcomes(result["groups"], {PROMISED: FAST_AIM}, path),
+        Path(args.results, "bench_whole_body_obstacles.png"),
+        "body_figures",
+    )
     return conclude("whole_body_obstacles", result, report(result), args.results)
 
 
@@ -179,7 +201,8 @@ def _aimed(group: str, each: Mapping[str, Any]) -> list[Figure]:
         at_least(f"{group}: {words[done]}", each[done] / scenes, least, "{:.0%}"),
     ]
     if group == PROMISED:
-        fast = f"{group}: up to {FAST_RATIO} of the unhindered time"
+        possible = f"possible in {each['could_be_fast']} of {scenes}"
+        fast = f"{group}: up to {FAST_RATIO} of the unhindered time ({possible})"
         rows += [
             at_least(fast, each["fast"] / scenes, FAST_AIM, "{:.0%}"),
             at_most(f"{group}: tool, RMS", each["tool_rms_mm"], RMS_AIM, "{:.2f} mm"),

@@ -70,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
         "drives": rows,
         "passed": passed,
         "picture": experiment.picture(
-            lambda f, path: f.draw_dodge(generator, scene, drives, (RMS_AIM, MAX_AIM), path)
+            lambda f, path: f.draw_dodge(generator, scene, drives, (RMS_AIM, MAX_AIM), path),
+            "body_figures",
         ),
     }
     experiment.publish(result, report)

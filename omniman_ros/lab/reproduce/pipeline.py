@@ -1,6 +1,7 @@
 """What all experiments share: drives in several processes, the report, and the result."""
 
 import argparse
+import importlib
 import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -48,6 +49,18 @@ def in_parallel(
         pool.shutdown(cancel_futures=True)
 
 
+def draw_picture(
+    draw: Callable[[ModuleType, Path], None], path: Path, module: str = "figures"
+) -> str | None:
+    """Draw a PNG file with a module of `lab`; return its path, or None without matplotlib."""
+    try:
+        figures = importlib.import_module(f"omniman_ros.lab.{module}")
+    except ImportError:
+        return None
+    draw(figures, path)
+    return str(path)
+
+
 class Experiment:
     """A run of `omniman reproduce`: its progress, its picture and its result."""
 
@@ -71,15 +84,11 @@ class Experiment:
         self.progress.end(f"{len(collected)} drives{note(collected)}")
         return collected
 
-    def picture(self, draw: Callable[[ModuleType, Path], None]) -> str | None:
-        """Draw a PNG file with `lab.figures`; return its path, or None without matplotlib."""
-        try:
-            from omniman_ros.lab import figures
-        except ImportError:
-            return None
-        path = Path(self._args.results, f"{self._name}.png")
-        draw(figures, path)
-        return str(path)
+    def picture(
+        self, draw: Callable[[ModuleType, Path], None], module: str = "figures"
+    ) -> str | None:
+        """Draw a PNG file with a module of `lab`; return its path, or None without matplotlib."""
+        return draw_picture(draw, Path(self._args.results, f"{self._name}.png"), module)
 
     def publish(
         self, figures: Mapping[str, Any], report: Callable[[dict[str, Any]], list[str]]

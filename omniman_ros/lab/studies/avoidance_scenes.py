@@ -54,6 +54,7 @@ WALKERS = (4, 6)  #: least and largest number of persons in a crowd
 #: Distance of a walker's line from the tool's path [m], and from the robot before it begins [m]
 PASSING, BEFORE = 1.0, 1.5
 SIGHT = 2.0  #: distance from which on posts are seen that are seen late [m]
+PLACE_STEP = 0.005  #: distance between two places on the path of which a bound of time is made [m]
 SAMPLES = 40  #: number of configurations of a motion that are looked at where something is placed
 TRIED, TRIES = 60, 40  #: number of places that are tried at a time, and of witnesses for a scene
 
@@ -79,6 +80,34 @@ class AvoidanceScene:
         """Return where everything is (M, 2) at a time [m]."""
         places: Array = self.places + time * self.velocities
         return places
+
+    def least_time(self, speed: float, clearance: float, time_gap: float) -> float:
+        """Return a lower bound of the time of each motion with the tool on its path [s].
+
+        Such a motion has at most a speed [m/s] along the path. The origin of `tool0` keeps from
+        who walks by a clearance [m] and what they walk in a time gap [s]. Platform, arm, what
+        stands and accelerations are left out. The bound is infinite where there is none within
+        twice the unhindered time and `WAIT`.
+        """
+        spots = self.poses[:, :2, 3]
+        lengths = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1)
+        # The path's first pose is one step from where the tool is at first.
+        places = np.concatenate([[0.0], lengths[:1], lengths]).cumsum()
+        spots = np.concatenate([2.0 * spots[:1] - spots[1:2], spots])
+        grid = np.linspace(0.0, places[-1], math.ceil(places[-1] / PLACE_STEP) + 1)
+        spots = np.column_stack([np.interp(grid, places, each) for each in spots.T])
+        walks = np.flatnonzero(np.any(self.velocities, axis=1))
+        room = clearance + time_gap * np.hypot(*self.velocities[walks].T)
+        room += [max(self.things[k].semi_axes) for k in walks]
+        is_reached, now = np.arange(len(grid)) == 0, 0.0
+        while not is_reached[-1]:
+            now += grid[1] / speed
+            is_reached[1:] |= is_reached[:-1]
+            apart = spots[:, None] - self.places_at(now)[walks]
+            is_reached &= (np.hypot(apart[..., 0], apart[..., 1]) >= room).all(axis=1)
+            if not is_reached.any() or now > 2.0 * self.fixed.duration + WAIT:
+                return math.inf
+        return now
 
 
 class SceneGenerator:

@@ -11,7 +11,7 @@ from omniman_ros.lab.studies.reactive_body import ReactiveBody
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.pace import LimitUsage, Pace, Window
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.whole_body.correction import LedTool, ToolStream
+from omniman_ros.motion.whole_body.correction import LedTool, PlatformCorrection, ToolStream
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
@@ -54,7 +54,7 @@ class LedBody:
         self.motion = motion
         model = WholeBodyModel(setup.description.mount)
         speeds = tuple(setup.limits.velocity[3:].tolist())
-        self._tool = ToolStream(model, motion, setup.path, speeds)
+        self._tool = ToolStream(model, motion, PlatformCorrection(setup.path), speeds)
         self.pace = Pace(self._demand, TICK)
         self.pace.reset(now, 1.0)
 
@@ -69,7 +69,7 @@ class LedBody:
     def correct(self, time: float, pose: Array) -> None:
         """Take a measured pose (3,) of the platform at a time [s]."""
         reference = self.motion.planned(np.array([self.pace.motion(time)]))[0][0, :3]
-        self._tool.correct(time, pose, reference)
+        self._tool.correction.update(time, pose, reference)
 
     def window(self, now: float, horizon: float) -> Window:
         """Return the motion (k, 9) from now on."""
@@ -240,7 +240,8 @@ class FixedPosture:
         assert self._led is not None and self._motion is not None
         times = np.minimum(self._led.pace.motion(now) + AHEAD, self._motion.end)
         moves = self._motion.planned(times)[0]
-        seen = around.placed(AHEAD).centre  # (2, k, M)
+        count = len(around.standing) + len(around.moving)
+        seen = around.placed(AHEAD, np.tile(np.arange(count), (len(AHEAD), 1))).centre  # (2, k, M)
         numbers = [int(label.rpartition(" ")[2]) for label in around.labels()]
         for k, axes in enumerate(moves):
             places = np.full((self._count, 2), UNSEEN)

@@ -125,6 +125,12 @@ class PlatformCorrection:
         """Error relative to the largest that is corrected; above 1 the motion is abandoned."""
         return float(self._ratios(self.error[None])[0])
 
+    @property
+    def excess(self) -> str:
+        """The error in words if it is beyond its bounds, or else an empty string."""
+        x, y, theta = self.error
+        return f"{math.hypot(x, y):.3f} m and {theta:.3f} rad" if self.error_ratio > 1.0 else ""
+
     def max_pace(self) -> float:
         """Return the highest pace of the motion, 0 to 1, lower as the error nears its bound."""
         return min(max((1.0 - self.error_ratio) / (1.0 - FULL_PACE_ERROR), 0.0), 1.0)
@@ -204,11 +210,11 @@ class ToolStream:
         self,
         model: WholeBodyModel,
         plan: LedTool,
-        options: ToolPathOptions,
+        correction: PlatformCorrection,
         velocity: tuple[float, ...],
     ) -> None:
         self._model, self.plan, self._velocity = model, plan, np.array(velocity)
-        self.correction = PlatformCorrection(options)
+        self.correction = correction
         self._joint_pace: float = 1.0
         self._arm_offset: Array = np.zeros(len(velocity))
 
@@ -260,18 +266,6 @@ class ToolStream:
         positions = planned.positions.copy()
         positions[:, JOINT_COLUMNS] += self._arm_offset
         return replace(planned, positions=positions)
-
-    def correct(self, time: float, pose: Array, reference: Array) -> str:
-        """Correct the arm for a measured and a planned pose (3,); return any excessive error.
-
-        Args:
-            pose: (3,) measured pose of the platform in odom [m, m, rad].
-        """
-        self.correction.update(time, pose, reference)
-        if self.correction.error_ratio <= 1.0:
-            return ""
-        x, y, theta = self.correction.error
-        return f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
 
 
 def _spacing(times: Array) -> float:

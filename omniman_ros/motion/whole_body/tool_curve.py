@@ -121,12 +121,12 @@ class ToolCurve:
         """
         c, first, second = self.derivatives(u, 2)
         pose = self._pose(c)
-        rotation = _upright(c[:, 3])
+        rotation = upright(c[:, 3])
         swing, rate, bend = c[:, 4:], first[:, 4:], second[:, 4:]
         step = SMALL
         turn, half = step * bend, 0.5 * step * step * bend
         swings = np.concatenate([swing, swing + step * rate + half, swing - step * rate + half])
-        spins = _swing_rate(swings, np.concatenate([rate, rate + turn, rate - turn]))
+        spins = swing_rate(swings, np.concatenate([rate, rate + turn, rate - turn]))
         here, ahead, behind = np.split(spins, 3)
         spin = _rotated(rotation, here)
         change = _rotated(rotation, (ahead - behind) / (2.0 * step))
@@ -179,7 +179,7 @@ class ToolCurve:
 
     def _pose(self, c: Array) -> Array:
         result = np.zeros((len(c), 4, 4))
-        result[:, :3, :3] = _upright(c[:, 3]) @ _tilted(c[:, 4:]) @ self._first
+        result[:, :3, :3] = upright(c[:, 3]) @ tilted(c[:, 4:]) @ self._first
         result[:, :3, 3] = c[:, :3]
         result[:, 3, 3] = 1.0
         return result
@@ -202,13 +202,14 @@ def coordinates(poses: Array) -> Array:
     # The upper left block is Rz(psi) times a symmetric block with a positive trace.
     psi = np.arctan2(relative[:, 1, 0] - relative[:, 0, 1], relative[:, 0, 0] + relative[:, 1, 1])
     psi = np.unwrap(psi)
-    tilt = np.swapaxes(_upright(psi), 1, 2) @ relative
+    tilt = np.swapaxes(upright(psi), 1, 2) @ relative
     # The tilt's axis is horizontal, its third column is (sin n_y, -sin n_x, cos).
     ratio = np.where(swing > SMALL, swing / np.maximum(np.sin(swing), 1e-12), 1.0)
     return np.column_stack([poses[:, :3, 3], psi, -tilt[:, 1, 2] * ratio, tilt[:, 0, 2] * ratio])
 
 
-def _upright(angle: Array) -> Array:
+def upright(angle: Array) -> Array:
+    """Return rotations (k, 3, 3) by angles (k,) about z."""
     result = np.zeros((len(angle), 3, 3))
     result[:, 0, 0] = result[:, 1, 1] = np.cos(angle)
     result[:, 1, 0] = np.sin(angle)
@@ -224,7 +225,7 @@ def _parts(square: Array) -> tuple[Array, Array]:
     return np.sinc(angle / math.pi), 0.5 * half * half
 
 
-def _tilted(swing: Array) -> Array:
+def tilted(swing: Array) -> Array:
     """Return rotations (k, 3, 3) by horizontal rotation vectors (k, 2), after Rodrigues."""
     x, y = swing.T
     sine, versine = _parts(x * x + y * y)
@@ -240,7 +241,7 @@ def _tilted(swing: Array) -> Array:
     return result
 
 
-def _swing_rate(swing: Array, rate: Array) -> Array:
+def swing_rate(swing: Array, rate: Array) -> Array:
     """Return the spatial angular velocity (k, 3) of exp(swing) for swing and its rate, (k, 2)."""
     x, y = swing.T
     sine, versine = _parts(x * x + y * y)

@@ -412,6 +412,7 @@ class MotionInterface:
     core: Interpolator  #: What generates the motion
     pending: PendingMotion | None = None  #: Motion that waits, where one can
     under_way = ""  #: Says that a motion is under way, and what ends it
+    spacing = 1  #: Ticks between two points of a preview
 
     def __init__(
         self,
@@ -523,5 +524,5 @@ class MotionInterface:
         """Publish a preview of the motion under way that is `horizon` long [s]."""
         if not self.idle:
             time_base = self._motions.time_base
-            times = time_base.sample_times(horizon)
+            times = time_base.sample_times(horizon)[:: self.spacing]
             self.output.send(paced_window(time_base.pace, self.core.sample, times))

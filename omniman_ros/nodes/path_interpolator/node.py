@@ -7,7 +7,7 @@ works without it.
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -45,7 +45,6 @@ from omniman_ros.nodes.path_interpolator.tool import ToolInterface
 from omniman_ros.nodes.path_interpolator.trajectories import (
     MAX_STAMP_AGE,
     ArmInterface,
-    JointInterface,
     Motions,
     PathInterface,
     WholeBodyInterface,
@@ -141,6 +140,29 @@ class _Goal:
     monitor: GoalMonitor  #: Monitor of its tolerances
 
 
+class TrajectoryExecutor(Protocol):
+    """What moves axes to the goals of an action."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+
+    def normalise(self, message: JointTrajectory) -> None:
+        """Write a trajectory with the names of the axes, and in odom; raise InputError if bad."""
+
+    def send(self, message: JointTrajectory) -> LoggedMotion:
+        """Accept a trajectory and return its motion; raise InputError if it is refused."""
+
+    def cancel(self, motion: LoggedMotion) -> None:
+        """Bring a motion to rest, unless it has ended already."""
+
+    def desired(self) -> tuple[Array, Array, Array] | None:
+        """Return references (n,) and their rates at the instant of `actual`, if any."""
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Return measured positions and velocities (n,) of the axes; None if they are unknown."""
+
+
 def action_type() -> Any:
     """Return control_msgs/action/FollowJointTrajectory, or None without control_msgs."""
     try:
@@ -152,7 +174,7 @@ def action_type() -> Any:
 
 def serve_actions(
     node: OmnimanNode,
-    executors: Mapping[str, JointInterface],
+    executors: Mapping[str, TrajectoryExecutor],
     options: TrajectoryActionOptions,
 ) -> tuple["TrajectoryAction", ...]:
     """Serve an action for each executor, by action names; none without control_msgs."""
@@ -180,7 +202,7 @@ class TrajectoryAction:
         node: OmnimanNode,
         kind: Any,
         name: str,
-        executor: JointInterface,
+        executor: TrajectoryExecutor,
         options: TrajectoryActionOptions,
     ) -> None:
         self._node, self._kind, self._name, self._executor = node, kind, name, executor
@@ -216,7 +238,7 @@ class TrajectoryAction:
         return GoalResponse.ACCEPT
 
     def _monitor(self, goal: Any) -> GoalMonitor:
-        goal.trajectory.joint_names = axis_names(goal.trajectory.joint_names)
+        self._executor.normalise(goal.trajectory)
         for tolerance in (*goal.path_tolerance, *goal.goal_tolerance):
             (tolerance.name,) = axis_names([tolerance.name])
         now = self._node.get_clock().now().nanoseconds * 1e-9

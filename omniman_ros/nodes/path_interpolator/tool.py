@@ -15,9 +15,9 @@ from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.axes import PLATFORM_COLUMNS
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.pace import Pace, Window
-from omniman_ros.motion.whole_body.correction import LedTool, ToolStream
+from omniman_ros.motion.whole_body.correction import LedTool, PlatformCorrection, ToolStream
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.motion_log import (
     LoggedMotion,
@@ -117,7 +117,6 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
 
     core: DrivenAxes
     under_way = "a motion of the whole body is under way; ~/cancel ends it"
-    spacing = 1  #: Ticks between two points of the stream of a led tool
 
     def __init__(
         self, motions: MotionCoordinator[StreamParameters], core: DrivenAxes, kind: MotionInput
@@ -126,6 +125,7 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
         options = motions.options
         self.model, self.limit_scale = WholeBodyModel(options.mount), 1.0
         self._tool: ToolStream | None = None
+        self._platform: PlatformCorrection | None = None  # where its error is bounded
         self._corrected_at = float("-inf")
         self._tool_reference = ToolPosePublisher(
             self._node, "tool_reference", options.frames.odom.odom_frame
@@ -142,15 +142,17 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
     def expect_path(self) -> None:
         """Prepare for a path of the tool, which has been accepted."""
 
-    def _lead(self, tool: LedTool) -> None:
-        """Have the motion lead the tool."""
-        p = self._motions.options
-        self._tool = ToolStream(self.model, tool, p.tool_path, p.arm.each("velocity"))
+    def _lead(self, tool: LedTool | None) -> None:
+        """Bound the platform's error from now on, and correct the arm for it if a tool is led."""
+        p, self._tool = self._motions.options, None
+        self._platform = PlatformCorrection(p.tool_path)
+        if tool is not None:
+            self._tool = ToolStream(self.model, tool, self._platform, p.arm.each("velocity"))
 
     def configure_tool(self, new: StreamParameters) -> None:
-        """Correct the tool of the motion under way as new parameters say."""
-        if self._tool is not None:
-            self._tool.correction.options = new.tool_path
+        """Bound and correct the platform's error of the motion under way as new parameters say."""
+        if self._platform is not None:
+            self._platform.options = new.tool_path
 
     @property
     def max_pace(self) -> float:
@@ -175,6 +177,18 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
             return None
         return np.concatenate([odom.pose, arm[0]]), np.concatenate([odom.velocity, arm[1]])
 
+    def desired(self) -> tuple[Array, Array, Array] | None:
+        """Return references (9,) and two rates, each part's at its own time of measurement."""
+        if self.idle:
+            return None
+        platform = self._desired_at(self._motions.odom.time)
+        arm = self._desired_at(self._motions.arm_feed.time)
+        x, v, a = (
+            np.concatenate([p[PLATFORM_COLUMNS], q[JOINT_COLUMNS]])
+            for p, q in zip(platform, arm, strict=True)
+        )
+        return x, v, a
+
     def rest_position(self) -> Array:
         """Return the positions (9,) at which platform and arm are at rest [m, m, rad, ...]."""
         tolerance = self._motions.options.joint_trajectory.start_tolerance
@@ -183,16 +197,19 @@ class BodyInterface(MotionInterface, Generic[Plan], ABC):
         return np.concatenate([self._motions.odom.pose, arm])
 
     def update_pose(self, pose: Array, at: float) -> None:
-        """Correct the arm for the platform's pose (3,) in odom [m, m, rad] at a time [s]."""
-        tool, pace = self._tool, self._motions.time_base.pace
-        if self.idle or tool is None or at <= tool.correction.time:
+        """Take the platform's pose (3,) in odom [m, m, rad] at a time [s]; correct a led tool."""
+        platform, pace = self._platform, self._motions.time_base.pace
+        if self.idle or platform is None or at <= platform.time:
             return  # a controller that was held up repeats a measurement
         if not self.output.is_covered(self._node.now()):
             return  # the next tick gives the motion up
-        reference = self.platform_reference(pace.motion(at))
-        if deviation := tool.correct(at, pose, reference):
-            self.give_up(f"the platform is {deviation} off its path", brake=True)
-        elif self._node.now() - self._corrected_at >= MIN_CORRECTION_PERIOD:
+        platform.update(at, pose, self.platform_reference(pace.motion(at)))
+        if platform.excess:
+            self.give_up(f"the platform is {platform.excess} off its path", brake=True)
+        elif (
+            self._tool is not None
+            and self._node.now() - self._corrected_at >= MIN_CORRECTION_PERIOD
+        ):
             self.publish(self._motions.options.horizon, platform=False)
 
     def platform_reference(self, motion_time: float) -> Array:

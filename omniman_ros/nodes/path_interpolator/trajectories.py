@@ -12,6 +12,7 @@ from trajectory_msgs.msg import JointTrajectory
 from omniman_ros.collision.self_collision import SelfCollisionCheck
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.conversions.headers import is_stamped, time_seconds
+from omniman_ros.conversions.joints import axis_names
 from omniman_ros.conversions.poses import path_poses
 from omniman_ros.core import round_off, se2
 from omniman_ros.core.arbiter import Source
@@ -181,6 +182,10 @@ class JointInterface(MotionInterface, ABC):
     def names(self) -> tuple[str, ...]:
         """Names of the axes."""
         return self.core.planner.limits.names
+
+    def normalise(self, message: JointTrajectory) -> None:
+        """Give the axes of a trajectory their own names."""
+        message.joint_names = axis_names(message.joint_names)
 
     @abstractmethod
     def trajectory(self, motion: LoggedMotion, message: JointTrajectory) -> str:
@@ -434,24 +439,12 @@ class WholeBodyInterface(BodyInterface[ToolPlan], JointInterface):
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
         return points.unwrapped(HEADING_COLUMN, float(heading))
 
-    def desired(self) -> tuple[Array, Array, Array] | None:
-        """Return each part's references at its own time of measurement; see the base class."""
-        if self.idle:
-            return None
-        platform = self._desired_at(self._motions.odom.time)
-        arm = self._desired_at(self._motions.arm_feed.time)
-        x, v, a = (
-            np.concatenate([p[PLATFORM_COLUMNS], q[JOINT_COLUMNS]])
-            for p, q in zip(platform, arm, strict=True)
-        )
-        return x, v, a
-
     def _take(
         self, propose: Callable[[float], JointProposal], planning_time: float
     ) -> JointProposal:
         """Start a motion, which is one of the tool only if that is said afterwards."""
         proposal = super()._take(propose, planning_time)
-        self._tool = None
+        self._tool = self._platform = None
         return proposal
 
     def planner(self, poses: Array, start: Array) -> Callable[[], ToolPlan]:

@@ -1,4 +1,4 @@
-"""The tool on its path while platform and arm avoid obstacles: tasks, and why they wait."""
+"""Platform and arm on their paths while they avoid obstacles: tasks, and why they wait."""
 
 import math
 from collections.abc import Callable
@@ -79,6 +79,14 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         around = self._surroundings.obstacle_snapshot()
         return lambda: tool_goal_task(setup, poses[-1], start, now, around)
 
+    def joint_planner(self, goal: Array, start: Array) -> "Callable[[], BodyTask]":
+        """Return what makes a task that moves all axes from a start to a goal, (9,) each."""
+        from omniman_ros.planning.whole_body.joint_goal import JointGoalTask
+
+        setup, now = self._setup(), self._motions.time_base.now()
+        around = self._surroundings.obstacle_snapshot()
+        return lambda: JointGoalTask(setup, goal, start, now, around)
+
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
         """Return what makes a task that holds the tool where it is, from positions (9,)."""
         from omniman_ros.planning.whole_body.task import ToolHold
@@ -93,19 +101,19 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
     def _setup(self) -> BodySetup:
         p = self._motions.options
         load = p.load if p.load.is_carried else None
-        return BodySetup(p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge)
+        return BodySetup(
+            p.description, self.core.limits, p.tool, load, p.led_tool, p.dodge, p.orientation
+        )
 
     def drive(self, motion: LoggedMotion, task: "BodyTask") -> None:
         """Start a task from the robot's present position."""
         now = self._node.now()
         self.core.follow(task)
-        self._lead(self.core)
+        self._lead(self.core if task.leads_tool else None)
         self.output.begin(from_rest=True)
         self._search = self._found = self._nearest = None
         self._watch = ProgressWatch(now)
-        length = task.redundancy.path.length()
-        what = f"{length:.2f} m of the tool" if task.has_end else "the tool is held"
-        self._announce(motion, what)
+        self._announce(motion, task.description)
 
     def platform_reference(self, motion_time: float) -> Array:
         """Return the planned pose of the platform; see the base class."""
@@ -142,7 +150,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         return message
 
     def remaining_length(self) -> float:
-        """Return the length of the rest of the tool's path [m]."""
+        """Return the length of the rest of the path [m]."""
         done = self.core.progress(self._motions.time_base.now())
         return (1.0 - done) * self.core.task.redundancy.path.length()
 

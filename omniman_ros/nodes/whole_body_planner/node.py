@@ -1,18 +1,25 @@
-"""Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
+"""Node `whole_body_planner`: motions of the whole body while platform and arm avoid obstacles."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.extras import PLANNING
 from omniman_ros.motion.path.interpolator import RefusedError
+from omniman_ros.motion.path.trajectory_goal import TrajectoryActionOptions
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
+from omniman_ros.nodes.navigation_action import (
+    NavigationAction,
+    NavigationKind,
+    serve_navigation,
+)
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
+from omniman_ros.nodes.path_interpolator.node import TrajectoryAction, serve_actions
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.nodes.whole_body_planner.avoidance import AvoidanceInterface
+from omniman_ros.nodes.whole_body_planner.joint_goals import JointGoalInterface
 from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
 from omniman_ros.nodes.whole_body_planner.tool_tasks import (
     ToolGoalExecutor,
@@ -26,7 +33,7 @@ SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
 class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
-    """Runs the paths, goals and holds of the tool."""
+    """Runs the paths, goals and holds of the tool, and goals of the joints."""
 
     def __init__(
         self,
@@ -44,7 +51,8 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
         self.whole_body = AvoidanceInterface(self, motion, self.surroundings)
         self.interfaces = (self.whole_body,)
         self.tool = ToolTaskInterface(self, self.whole_body)
-        self.waiting = {"motion of the tool": self.tool}
+        self.joints = JointGoalInterface(self, self.tool)
+        self.waiting = {"motion": self.tool}
         self.serve("hold", self.hold, self.tool.log)
 
     def configure(self, new: WholeBodyPlannerParameters) -> None:
@@ -76,7 +84,7 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
 
 
 class WholeBodyPlannerNode(OmnimanNode):
-    """Serves paths, goals and holds of the tool among obstacles as a ROS node."""
+    """Serves motions of the whole body among obstacles as a ROS node."""
 
     lookahead = 0.04  # about the time that a plan takes
 
@@ -90,9 +98,10 @@ class WholeBodyPlannerNode(OmnimanNode):
         self.settings.on_change(self.motions.configure)
         p, tool = self.settings.value, self.motions.tool
         goals, paths = ToolGoalExecutor(tool), ToolPathExecutor(tool)
-        self.actions = (
+        self.actions: tuple[NavigationAction | TrajectoryAction, ...] = (
             *serve_navigation(self, NavigationKind.NAVIGATE_TO_POSE, p.goal_action, goals),
             *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, paths),
+            *serve_actions(self, {p.joint_action: self.motions.joints}, TrajectoryActionOptions()),
         )
         self._status_publisher = self.create_publisher(DiagnosticStatus, "body/status", 10)
         self._plan_publisher = self.create_publisher(JointTrajectory, "body/plan", 1)

@@ -6,7 +6,11 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.nodes.path_interpolator.parameters import StreamParameters
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
-from omniman_ros.planning.whole_body.parameters import AvoidanceOptions, led_tool
+from omniman_ros.planning.whole_body.parameters import (
+    AvoidanceOptions,
+    OrientationFreedom,
+    led_tool,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,6 +18,7 @@ class WholeBodyPlannerParameters(StreamParameters):
     """Parameters of the node: those of its core, its surroundings and its streams."""
 
     dodge: AvoidanceOptions
+    orientation: OrientationFreedom
     surroundings: SurroundingsParameters = inline()
     patience: float = parameter(
         30.0,
@@ -28,6 +33,11 @@ class WholeBodyPlannerParameters(StreamParameters):
     )
     path_action: str = parameter(
         "~/follow_tool_path", "Name of the action that takes paths of the tool.", read_only=True
+    )
+    joint_action: str = parameter(
+        "~/move_body",
+        "Name of the action that takes goals of platform and joints.",
+        read_only=True,
     )
 
     @property

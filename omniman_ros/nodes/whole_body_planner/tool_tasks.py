@@ -1,5 +1,6 @@
 """Paths, goals and holds of the tool, from topics, services and actions of nav2_msgs."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
 from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
@@ -44,9 +46,21 @@ class ToolTaskInterface(ToolInterface[Any]):
         motion, message = received
         path = Path(header=message.header, poses=[message])
         planner = self._planner(motion, path, self.body.goal_planner)
+        return self.replace(motion, planner, "the way of the tool to a goal")
+
+    def replace(
+        self,
+        motion: LoggedMotion,
+        planner: Callable[[Array], Callable[[], Any]],
+        label: str,
+    ) -> str:
+        """Take a motion, planned from axes (9,), in place of the one that is driven, which brakes.
+
+        It begins at rest; the result is why it is refused, or an empty string.
+        """
         self.body.log.note(MotionEvent.REPLACED)
         self.body.stop()
-        return self._take(motion, planner, "the way of the tool to a goal")
+        return self._take(motion, planner, label)
 
     @property
     def _is_braking(self) -> bool:

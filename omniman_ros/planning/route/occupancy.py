@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.ellipses import inflated
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.route.lattice import Lattice, Work
@@ -30,9 +29,11 @@ ONE = np.uint64(1)  #: Word whose first bit is set
 #: suffices for the robot to leave it entirely.
 EASED_RADII = 3.0
 PIECE = 40_000  #: Approximate number of poses in each piece in which an obstacle is marked
-#: Number of different offsets of cells from their nodes above which they are rounded coarsely
+#: Number of discs of one size from which they are marked together, with rounded offsets
+CROWDED = 40
+#: Number of different offsets of discs from their nodes above which they are rounded coarsely
 MAX_KINDS = 200
-#: Divisions of a lattice edge to which the offset of a cell from a node is first rounded
+#: Divisions of a lattice edge to which the offset of a disc from a node is first rounded
 FINE_PARTS = 1000
 #: Divisions of a lattice edge to which it is rounded if there are too many different offsets
 COARSE_PARTS = 8
@@ -67,12 +68,17 @@ class HeadingOccupancy:
         pairs = Pairs.of(problem.footprint, problem.obstacles)
         known = pairs.ellipses
         centers, angles = frame.own(known.centers), known.angles - frame.yaw
-        for k, (center, angle) in enumerate(zip(centers, angles.tolist(), strict=True)):
-            box = pairs.boxes.select(np.array(k))
-            yield from self._stamp(box, center, known.semi_axes[k], angle)
+        for alike in _alike(pairs):
+            box, axes = pairs.boxes.select(alike[0]), known.semi_axes[alike[0]]
+            if len(alike) >= CROWDED and axes[0] == axes[1]:
+                yield from self._stamp_discs(box, float(axes[0]), centers[alike])
+                continue
+            for center, angle in zip(centers[alike], angles[alike].tolist(), strict=True):
+                yield from self._stamp(box, center, axes, angle)
         if problem.grid is not None:  # the robot cannot pass the cells at the boundary
+            cells = frame.own(problem.cells)
             for box in problem.footprint.whole.each():
-                yield from self._stamp_cells(box, problem.grid)
+                yield from self._stamp_discs(box, problem.grid.radius, cells)
         self._bound()
         self._ease()
         least = self._view[0]
@@ -155,14 +161,17 @@ class HeadingOccupancy:
             result[level, ring] = _packed(gap < threshold)
         return result, gap.size // 80
 
-    # ---- the cells of a map -----------------------------------------------------------------
+    # ---- many discs, such as the cells of a map ---------------------------------------------
 
-    def _stamp_cells(self, box: Rectangles, grid: GridMap) -> Work:
-        """Mark the occupied cells, all cells with the same offset from a node together."""
+    def _stamp_discs(self, box: Rectangles, radius: float, centers: Array) -> Work:
+        """Mark discs of one radius [m], all with the same offset from a node together.
+
+        Centres (N, 2) are in the lattice's frame.
+        """
         edge, region = self._lattice.frame.edge, self._lattice.region
-        reach = math.ceil((self._far(box) + grid.radius) / edge) + 1
-        corners, kind, shifts = yield from self._kinds(reach)
-        axes = np.array([grid.radius, grid.radius])
+        reach = math.ceil((self._far(box) + radius) / edge) + 1
+        corners, kind, shifts = yield from self._kinds(centers, reach)
+        axes = np.array([radius, radius])
         nodes = np.array([[-reach, -reach], [reach + 1, reach + 1]])
         for number, shift in enumerate(shifts):
             center = edge * (shift + region.first)
@@ -170,25 +179,27 @@ class HeadingOccupancy:
             yield 50 + work
             yield from self._repeat(marks, corners[kind == number])
 
-    def _kinds(self, reach: int) -> Generator[int, None, tuple[Index, Index, Array]]:
-        """Group the occupied cells near the region by their offsets from the nodes.
+    def _kinds(
+        self, centers: Array, reach: int
+    ) -> Generator[int, None, tuple[Index, Index, Array]]:
+        """Group the discs near the region by their offsets from the nodes.
 
-        A cell marks nodes up to a reach of columns or rows. First column and row (N, 2) of these
+        A disc marks nodes up to a reach of columns or rows. First column and row (N, 2) of these
         nodes and the number (N,) of its kind are returned, and the offsets (K, 2) of all kinds
         from a node [edges].
         """
-        region, cells = self._lattice.region, self._problem.cells
-        place = self._lattice.frame.own(cells) / self._lattice.frame.edge - region.first
+        region = self._lattice.region
+        place = centers / self._lattice.frame.edge - region.first
         base = np.floor(place + 1e-6)
         inside = ((base + reach >= 0) & (base - reach < region.shape)).all(axis=1)
         place, base = place[inside], base[inside]
-        yield 20 + len(cells) // 6
+        yield 20 + len(centers) // 6
         # Each offset becomes one number, which is exact if offsets repeat, otherwise rounded.
         for parts in (FINE_PARTS, COARSE_PARTS):
             shifts = np.round(parts * (place - base)).astype(np.intp)
             numbers = (FINE_PARTS + 1) * shifts[:, 0] + shifts[:, 1]
             kinds, kind = np.unique(numbers, return_inverse=True)
-            yield 20 + len(cells) // 6
+            yield 20 + len(centers) // 6
             if len(kinds) <= MAX_KINDS:
                 break
         beside = np.stack(np.divmod(kinds, FINE_PARTS + 1), axis=1) / parts
@@ -244,6 +255,16 @@ class HeadingOccupancy:
             distance = np.hypot(self._lattice.x - x, self._lattice.y[:, None] - y)
             near = distance < EASED_RADII * self._problem.radius
             self._view[0][near] = self._view[4][near]
+
+
+def _alike(pairs: Pairs) -> list[Index]:
+    """Return the numbers of the pairs that have the same box, and the same axes of the ellipse."""
+    rows = np.broadcast_to(pairs.boxes.rows, (len(pairs), 5))
+    each = np.column_stack([pairs.ellipses.semi_axes, rows]).round(9)
+    _, kind = np.unique(each, axis=0, return_inverse=True)
+    order = np.argsort(kind.ravel(), kind="stable")
+    ends = np.cumsum(np.bincount(kind.ravel()))
+    return np.split(order, ends[:-1]) if len(order) else []
 
 
 def _packed(bits: Mask) -> Words:

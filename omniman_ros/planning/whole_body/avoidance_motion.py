@@ -63,8 +63,9 @@ class AvoidanceMotion:
         detour, self.task.detour = self.task.detour, None
         if detour is None or self.state is not PathState.FOLLOWING or not self.task.rests(now):
             return False
-        at = self.task.axes(np.array([now]))
-        detour.controller.begin(now, np.append(at[0, :PATH_PARAMETER], 0.0))
+        at, begin = self.task.axes(np.array([now])), detour.begin.copy()
+        begin[:PATH_PARAMETER] = at[0, :PATH_PARAMETER]
+        detour.controller.begin(now, begin)
         if np.abs(detour.axes(np.array([now])) - at).max() > SAME:
             return False
         self.follow(detour)
@@ -190,7 +191,7 @@ class AvoidanceMotion:
         return self.task.redundancy.axes(z), v, a
 
     def _platform_motion(self, times: Array) -> tuple[Array, Array, Array]:
-        """Return z, z', z'' (k, 4) of the motion under way at motion times (k,) [s]."""
+        """Return z, z', z'' (k, d) of the motion under way at motion times (k,) [s]."""
         half = 0.5 * TICK
         z, rates = self.sent.at(np.concatenate([times, times + half, times - half]))
         # Rates change by steps in their derivative: its mean over a tick is smooth enough.
@@ -218,8 +219,7 @@ class AvoidanceMotion:
 
     def tool(self, times: Array) -> Array:
         """Return planned poses (m, 4, 4) of `tool0` in odom at motion times (m,) [s]."""
-        places = self.sent.at(times)[0][:, PATH_PARAMETER]
-        return self.task.redundancy.path.pose(places)
+        return self.task.redundancy.tool(self.sent.at(times)[0])
 
     def demand(self, times: Array) -> LimitUsage | None:
         """Return the use of the limits at increasing motion times (k,) [s]; None if idle."""

@@ -33,9 +33,9 @@ class MarginRows(Validated):
     """Tip-over margins to each of E edges at k configurations, with their derivatives [m]."""
 
     margin: Annotated[Array, Shape("k", "E")]
-    by_z: Annotated[Array, Shape("k", "E", 4)]  #: By the redundancy coordinates
-    by_rate: Annotated[Array, Shape("k", "E", 4)]  #: By their rates
-    by_acceleration: Annotated[Array, Shape("k", "E", 4)]  #: By their accelerations
+    by_z: Annotated[Array, Shape("k", "E", "d")]  #: By the redundancy coordinates
+    by_rate: Annotated[Array, Shape("k", "E", "d")]  #: By their rates
+    by_acceleration: Annotated[Array, Shape("k", "E", "d")]  #: By their accelerations
 
 
 class BodyBalance:
@@ -63,13 +63,17 @@ class BodyBalance:
         """Number of edges of the wheels' contacts."""
         return len(self._offsets)
 
-    def margins(self, times: Array, poses: Array, frames: Array) -> Array:
+    def arm_centres(self, frames: Array) -> Array:
+        """Return the arm's centres of mass (k, 3) [m] by its frames (k, 7, 4, 4) in base_link."""
+        result: Array = self._parts(frames).sum(axis=1) / float(self._masses[1])
+        return result
+
+    def margins(self, times: Array, poses: Array, arm: Array) -> Array:
         """Return the least margins (k - 2,) at all but the first and the last of times (k,) [m].
 
-        The platform has poses (k, 3), and the arm's frames (k, 7, 4, 4) are in base_link, at even
-        times [s]: accelerations are second differences.
+        The platform has poses (k, 3), and the arm's centres of mass are (k, 3), at even times [s]:
+        accelerations are second differences.
         """
-        arm, _ = self._arm_centre(frames)
         centre = np.stack([np.broadcast_to(self._body, arm.shape), arm])  # (2, k, 3)
         c, s = np.cos(poses[:, YAW]), np.sin(poses[:, YAW])
         x, y, z = np.moveaxis(centre, -1, 0)
@@ -84,16 +88,16 @@ class BodyBalance:
         result: Array = self._to_edges(point).min(axis=1)
         return result
 
-    def rest_margin(self, frames: Array) -> float:
-        """Return the margin at rest [m] with the arm's frames (7, 4, 4) in base_link."""
-        arm, _ = self._arm_centre(frames[None])
-        centre = np.stack([self._body, arm[0]])[:, :2]
+    def rest_margin(self, arm: Array) -> float:
+        """Return the margin at rest [m] with the arm's centre of mass (3,)."""
+        centre = np.stack([self._body, arm])[:, :2]
         point = GRAVITY * self._masses @ centre / self._weight
         return float(self._to_edges(point[None]).min())
 
     def rows(self, at: Configurations, rates: Array, accelerations: Array) -> MarginRows:
-        """Return the margins at configurations with rates and accelerations (k, 4) in odom."""
-        arm, by_joints = self._arm_centre(self._base @ at.frames)
+        """Return the margins at configurations with rates and accelerations (k, d) in odom."""
+        frames = self._base @ at.frames
+        arm, by_joints = self.arm_centres(frames), self._arm_derivatives(frames)
         c, s = np.cos(at.z[:, YAW]), np.sin(at.z[:, YAW])
         to_robot = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=1)
         pushed = (to_robot @ accelerations[:, :2, None])[..., 0]
@@ -133,13 +137,20 @@ class BodyBalance:
         result: Array = points @ self._edges.T + self._offsets
         return result
 
-    def _arm_centre(self, frames: Array) -> tuple[Array, Array]:
-        """Return the arm's centres of mass (k, 3) [m], and derivatives (k, 3, 6) by the joints."""
-        parts = np.einsum("kfij,fj->kfi", frames[..., :3, :], self._of_frame)
+    def _parts(self, frames: Array) -> Array:
+        """Return the centres (k, 7, 3) of what the frames carry, times their masses [kg m]."""
+        result: Array = np.einsum("kfij,fj->kfi", frames[..., :3, :], self._of_frame)
+        return result
+
+    def _arm_derivatives(self, frames: Array) -> Array:
+        """Return the derivatives (k, 3, 6) of the arm's centre of mass by the joints [m/rad]."""
         # What a joint moves is all that comes after it.
-        moved = np.cumsum(parts[:, :0:-1], axis=1)[:, ::-1]
+        moved = np.cumsum(self._parts(frames)[:, :0:-1], axis=1)[:, ::-1]
         masses = np.cumsum(self._of_frame[:0:-1, 3])[::-1]
         axis, origin = frames[:, :-1, :3, 2], frames[:, :-1, :3, 3]
-        by_joints = np.cross(axis, moved - masses[:, None] * origin)
-        mass = float(self._masses[1])
-        return parts.sum(axis=1) / mass, np.swapaxes(by_joints, 1, 2) / mass
+        lever = moved - masses[:, None] * origin
+        result = np.empty((len(frames), 3, axis.shape[1]))
+        for row, first, second in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axes x levers
+            result[:, row] = axis[..., first] * lever[..., second]
+            result[:, row] -= axis[..., second] * lever[..., first]
+        return result / float(self._masses[1])

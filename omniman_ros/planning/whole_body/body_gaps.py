@@ -25,11 +25,13 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import HALF_TURN
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
-from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
+from omniman_ros.planning.whole_body.redundancy import Configurations
 
 FAR = 10.0  #: Gap of a row that constrains nothing [m]
 #: Gap beyond which that to the disc around an obstacle stands for the true one [m]
 NEAR = 0.3
+#: Number of standing obstacles at each configuration whose gaps are computed at first
+FIRST_TRIED = 12
 SAME_HEIGHT = 1e-6  #: Change of a height that is round-off [m]
 OWN, STANDING, MOVING = range(3)
 """Kinds of gaps: between parts of the robot, to what stands, to what moves."""
@@ -42,27 +44,29 @@ class GapRows(Validated):
 
     #: Gaps (k, n), less the margin around what moves, which grows [m]
     gap: Annotated[Array, Shape("k", "n")]
-    #: Derivatives (k, n, 4) by the redundancy coordinates
-    slope: Annotated[Array, Shape("k", "n", 4)]
+    #: Derivatives (k, n, d) by the redundancy coordinates
+    slope: Annotated[Array, Shape("k", "n", "d")]
     #: What each (k, n) is a gap to: OWN, STANDING or MOVING
     kind: Annotated[Indices, Shape("k", "n")]
 
-    def nearest(self, count: int) -> "GapRows":
-        """Return the n = `count` smallest gaps of each configuration; far ones fill up."""
+    def filled(self, count: int) -> "GapRows":
+        """Return n = `count` gaps of each configuration: far ones fill up."""
         k, n = self.gap.shape
-        if n < count:
-            more = count - n
-            return GapRows.unchecked(
-                gap=np.hstack([self.gap, np.full((k, more), FAR)]),
-                slope=np.concatenate([self.slope, np.zeros((k, more, COORDINATES))], axis=1),
-                kind=np.hstack([self.kind, np.full((k, more), STANDING)]),
-            )
-        index = np.argpartition(self.gap, count - 1, axis=1)[:, :count]
+        more, d = count - n, self.slope.shape[2]
         return GapRows.unchecked(
-            gap=np.take_along_axis(self.gap, index, axis=1),
-            slope=np.take_along_axis(self.slope, index[..., None], axis=1),
-            kind=np.take_along_axis(self.kind, index, axis=1),
+            gap=np.hstack([self.gap, np.full((k, more), FAR)]),
+            slope=np.concatenate([self.slope, np.zeros((k, more, d))], axis=1),
+            kind=np.hstack([self.kind, np.full((k, more), STANDING)]),
         )
+
+
+@dataclass(frozen=True)
+class _PartGaps:
+    """Gaps of each part of the robot to n obstacles at each of k poses."""
+
+    numbers: Indices  #: Numbers (k, n) of the obstacles, the moving ones last
+    gap: Array  #: Gaps (k, parts * n) [m], part by part
+    nearest: Indices  #: Nearest spheres (k, parts of the arm, n)
 
 
 class BodyGaps:
@@ -165,6 +169,39 @@ class BodyGaps:
         between -= (radius[self._first] + radius[self._second])[:, None]
         return to_deck, between.T
 
+    def to_obstacles(
+        self,
+        poses: Array,
+        centre: Array,
+        around: ObstacleSnapshot,
+        ages: Array,
+        reach: float,
+    ) -> tuple[Array, Indices]:
+        """Return the gaps (k, M) to obstacles [m], and the numbers (k, M) of the nearest parts.
+
+        The centres (k, S, 3) of the spheres are in base_link at poses (k, 3) and ages (k,) [s]. A
+        gap that is above a reach [m] may be a lower bound above it, with part 0; also one to what
+        moves, less its growth.
+        """
+        points, moving = np.moveaxis(in_odom(poses, centre), -1, 0), around.moving
+        bounds = self._bounds(poses, points, around.standing, reach)
+        places = moving.obstacles.centre[:, None] + ages[:, None] * moving.velocity[:, None]
+        of_moving = self._disc_bounds(poses, points, places, _extent(moving.obstacles))
+        growth = around.growth * (ages - ages.min())[:, None]
+        is_near = np.hstack([~(bounds > reach), ~(of_moving - growth > reach)])
+        gaps, parts = np.hstack([bounds, of_moving]), np.zeros(is_near.shape, dtype=np.intp)
+        at, number = np.nonzero(is_near)
+        if len(at):
+            near = around.placed(ages[at], number[:, None])
+            platform = self.platform(poses[at], near)[:, 0]
+            spheres = point_gap_values(_for_spheres(near), points[:, at])[..., 0]
+            spheres -= self.spheres.radius
+            nearest = spheres.argmin(axis=1)
+            arm = np.take_along_axis(spheres, nearest[:, None], axis=1)[:, 0]
+            gaps[at, number] = np.fmin(arm, platform)
+            parts[at, number] = np.where(arm < platform, 1 + nearest, 0)
+        return gaps, parts
+
     def platform(self, poses: Array, obstacles: UprightObstacles) -> Array:
         """Return the gaps (k, M) of the platform at poses (k, 3) to obstacles [m]."""
         found = [
@@ -174,43 +211,45 @@ class BodyGaps:
         result: Array = np.min(found, axis=0)
         return result
 
-    def to_obstacles(
-        self, poses: Array, centre: Array, obstacles: UprightObstacles, standing: int
+    def _bounds(
+        self, poses: Array, points: Array, obstacles: UprightObstacles, reach: float
     ) -> Array:
-        """Return the gaps (k, 1 + S, M) of platform and spheres to obstacles [m].
+        """Return lower bounds (k, M) of the gaps at poses (k, 3), with spheres at (3, k, S).
 
-        The centres (k, S, 3) of the spheres are in base_link. The centres (2, k, M) of the
-        obstacles may differ from pose to pose (k, 3). Of the first ones, which stand, those that
-        are never within `NEAR` count with one lower bound that is above it.
+        Obstacles count as discs without heights. Those that are beyond a reach [m] of all that
+        the body passes have one bound. NaN, out of the arm's reach, is left out.
         """
-        points = np.moveaxis(in_odom(poses, centre), -1, 0)
-        bounds = self._bounds(poses, points, obstacles.select(np.arange(standing)))
-        is_near = np.ones(len(obstacles), dtype=bool)
-        is_near[:standing] = ~(bounds > NEAR)
-        near = np.flatnonzero(is_near)
-        chosen = obstacles.select(near)
-        result = np.empty((len(poses), 1 + len(self.spheres.radius), len(obstacles)))
-        result[..., :standing] = bounds
-        result[:, 0, near] = self.platform(poses, chosen)
-        gaps = point_gap_values(_for_spheres(chosen), points)
-        result[:, 1:, near] = gaps - self.spheres.radius[:, None]
+        if not len(obstacles):
+            return np.zeros((len(poses), 0))
+        extent = _extent(obstacles)
+        size, sides = self.spheres.radius.max(), (np.fmin, np.fmax)
+        low, high = (
+            side(
+                side.reduce(points[:2], axis=(1, 2)) + sign * size,
+                side.reduce(poses[:, :2], axis=0) + sign * self.radius,
+            )[:, None]
+            for side, sign in zip(sides, (-1.0, 1.0), strict=True)
+        )
+        beyond = np.maximum(np.maximum(low - obstacles.centre, obstacles.centre - high), 0.0)
+        apart = np.hypot(*beyond) - extent
+        result = np.tile(apart, (len(poses), 1))
+        near = np.flatnonzero(~(apart > reach))
+        if not len(near):
+            return result
+        centre = obstacles.centre[:, near]
+        result[:, near] = self._disc_bounds(poses, points, centre, extent[near])
         return result
 
-    def _bounds(self, poses: Array, points: Array, obstacles: UprightObstacles) -> Array:
-        """Return lower bounds (M,) of the gaps at all poses (k, 3), with spheres at (3, k, S).
-
-        Obstacles count as discs. Poses out of the arm's reach, with NaN, are left out.
-        """
+    def _disc_bounds(self, poses: Array, points: Array, centre: Array, extent: Array) -> Array:
+        """Return what `_bounds` does to discs with centres (2, M) or (2, k, M) and radii (M,)."""
         origin = poses[0, :2]
         level = np.moveaxis(points[:2], 0, -1) - origin
-        centre = np.moveaxis(obstacles.centre, 0, -2) - origin[:, None]  # (..., 2, M)
-        square = (level * level).sum(axis=-1)[..., None] - 2.0 * (level @ centre)
-        least = np.fmin.reduce(square, axis=1) + (centre * centre).sum(axis=-2)
-        arm = np.sqrt(np.maximum(np.fmin.reduce(least, axis=0), 0.0)) - self.spheres.radius.max()
-        base = (centre - (poses[:, :2] - origin)[:, :, None]) ** 2
-        platform = np.sqrt(np.fmin.reduce(base.sum(axis=-2), axis=0)) - self.radius
-        extent = np.hypot(*obstacles.half) + obstacles.rounding
-        result: Array = np.minimum(arm, platform) - extent
+        apart = np.moveaxis(centre, 0, -2) - origin[:, None]  # (..., 2, M)
+        square = (level * level).sum(axis=-1)[..., None] - 2.0 * (level @ apart)
+        least = np.fmin.reduce(square, axis=1) + (apart * apart).sum(axis=-2)
+        arm = np.sqrt(np.maximum(least, 0.0)) - self.spheres.radius.max()
+        platform = np.min([_depth(each, poses, centre) for each in self.rectangles], axis=0)
+        result: Array = np.fmin(platform, arm) - extent
         return result
 
     # ---- with derivatives, for the program --------------------------------------------------
@@ -220,66 +259,127 @@ class BodyGaps:
     ) -> GapRows:
         """Return the n = `count` nearest gaps at configurations (k,), with derivatives.
 
-        Obstacles are left out beyond a reach [m]; they are placed at ages (k,) [s].
+        Obstacles are left out beyond a reach [m]; they are placed at ages (k,) [s]. Each part of
+        the robot has one gap to each of them, that of its nearest sphere. If there are fewer gaps
+        than rows, these have one order at all configurations, and far ones fill up.
         """
         placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)
         own = self._own_rows(at, placed, moved)
-        points = np.moveaxis(in_odom(at.platform, placed.centre), -1, 0)
-        is_near = ~(self._bounds(at.platform, points, around.standing) > reach)
-        around = around.selected(np.flatnonzero(is_near), np.arange(len(around.moving)))
-        obstacles = self._obstacle_rows(at, placed, moved, around, ages)
-        joined = GapRows.unchecked(
-            gap=np.hstack([own.gap, obstacles.gap]),
-            slope=np.concatenate([own.slope, obstacles.slope], axis=1),
-            kind=np.hstack([own.kind, obstacles.kind]),
-        ).nearest(count)
-        is_far = joined.gap > reach
+        centre = in_odom(at.platform, placed.centre)
+        found = self._found(at.platform, centre, around, ages, reach, own.gap, count)
+        gaps = np.hstack([own.gap, found.gap])
+        kept = np.tile(np.arange(gaps.shape[1]), (len(ages), 1))
+        if gaps.shape[1] > count:
+            kept = np.argpartition(gaps, count - 1, axis=1)[:, :count]
+        gap = np.take_along_axis(gaps, kept, axis=1)
+        is_near, last = gap <= reach, own.gap.shape[1] - 1
+        slope = np.take_along_axis(own.slope, np.minimum(kept, last)[..., None], axis=1)
+        kind = np.full(kept.shape, OWN)
+        row, slot = np.nonzero((kept > last) & is_near)
+        if len(row):
+            column = kept[row, slot] - last - 1
+            slope[row, slot] = self._slopes(at, centre, moved, around, ages, found, row, column)
+            number = found.numbers[row, column % found.numbers.shape[1]]
+            kind[row, slot] = np.where(number < len(around.standing), STANDING, MOVING)
         return GapRows.unchecked(
-            gap=np.where(is_far, FAR, joined.gap),
-            slope=np.where(is_far[..., None], 0.0, joined.slope),
-            kind=joined.kind,
-        )
+            gap=np.where(is_near, gap, FAR),
+            slope=np.where(is_near[..., None], slope, 0.0),
+            kind=np.where(is_near, kind, STANDING),
+        ).filled(count)
 
-    def _obstacle_rows(
+    def _found(
+        self,
+        poses: Array,
+        centre: Array,
+        around: ObstacleSnapshot,
+        ages: Array,
+        reach: float,
+        own: Array,
+        count: int,
+    ) -> _PartGaps:
+        """Return gaps at poses (k, 3), among them all of the `count` smallest within a reach [m].
+
+        The nearest obstacles by the bounds are looked at first, then more of them, until no other
+        one can have a smaller gap. Own gaps (k, o) count among the smallest.
+        """
+        points, still = np.moveaxis(centre, -1, 0), len(around.standing)
+        bounds = self._bounds(poses, points, around.standing, reach)
+        near = np.flatnonzero(~(bounds > reach).all(axis=0))
+        bounds = bounds[:, near]
+        moving = np.tile(still + np.arange(len(around.moving)), (len(ages), 1))
+        blocks = len(self.rectangles) + len(self._of_part)
+        is_few = own.shape[1] + blocks * (len(near) + moving.shape[1]) <= count
+        enough = max(FIRST_TRIED, count // blocks + 1)  # as many gaps as rows, at least
+        tried = len(near) if is_few else min(enough, len(near))
+        order = np.argsort(bounds, axis=1)
+        while True:
+            numbers = np.hstack([near[np.sort(order[:, :tried], axis=1)], moving])
+            found = self._gaps_of_parts(poses, points, around, ages, numbers)
+            if tried == len(near):
+                return found
+            gaps = np.hstack([own, found.gap])
+            largest = np.partition(gaps, count - 1, axis=1)[:, count - 1]
+            following = np.take_along_axis(bounds, order[:, tried, None], axis=1)[:, 0]
+            if (following >= np.minimum(largest, reach)).all():
+                return found
+            tried = min(2 * tried, len(near))
+
+    def _gaps_of_parts(
+        self,
+        poses: Array,
+        points: Array,
+        around: ObstacleSnapshot,
+        ages: Array,
+        numbers: Indices,
+    ) -> _PartGaps:
+        """Return the gaps of each part to the obstacles with numbers (k, n) at poses (k, 3)."""
+        obstacles = around.placed(ages, numbers)
+        platform = [
+            rectangle_gaps(obstacles, each.poses(poses), each.half, self.heights)
+            for each in self.rectangles
+        ]
+        distance = point_gap_values(_for_spheres(obstacles), points)
+        distance -= self.spheres.radius[:, None]
+        nearest = np.stack(
+            [first + distance[:, first:end].argmin(axis=1) for first, end in self._of_part],
+            axis=1,
+        )
+        arm = np.take_along_axis(distance, nearest, axis=1)
+        gap = np.concatenate([np.stack(platform, axis=1), arm], axis=1)  # (k, parts, n)
+        moving = slice(numbers.shape[1] - len(around.moving), None)
+        gap[..., moving] -= (around.growth * np.maximum(ages, 0.0)[:, None])[:, None]
+        gap[..., moving] -= self._time_gap * around.pace * np.hypot(*around.moving.velocity)
+        return _PartGaps(numbers, gap.reshape(len(poses), -1), nearest)
+
+    def _slopes(
         self,
         at: Configurations,
-        placed: PlacedSpheres,
+        centre: Array,
         moved: Array,
         around: ObstacleSnapshot,
         ages: Array,
-    ) -> GapRows:
-        """Return the gap of each part to each solid, that of its nearest sphere."""
-        obstacles, poses, k = around.placed(ages), at.platform, len(at.q)
-        gaps, slopes = [], []
-        for each in self.rectangles:
-            gap, by_centre = rectangle_gap_derivative(
-                obstacles, each.poses(poses), each.half, self.heights
+        found: _PartGaps,
+        row: Indices,
+        column: Indices,
+    ) -> Array:
+        """Return the derivatives (p, d) of gaps (p,) by their rows and columns in `found`."""
+        block, column = np.divmod(column, found.numbers.shape[1])
+        obstacles = around.placed(ages[row], found.numbers[row, column, None])  # (p, 1)
+        poses, parts = at.platform[row], len(self.rectangles)
+        sphere = found.nearest[row, np.maximum(block - parts, 0), column]
+        places = centre[row, sphere]
+        _, normal = point_gaps(obstacles, places.T)
+        slope = _by_coordinates(at.rates[row], normal[..., 0].T, places, moved[row, sphere], poses)
+        for k, each in enumerate(self.rectangles):
+            mine = block == k
+            near, at_rows = found.numbers[row[mine], column[mine], None], poses[mine]
+            _, by_centre = rectangle_gap_derivative(
+                around.placed(ages[row[mine]], near), each.poses(at_rows), each.half, self.heights
             )
-            gaps.append(gap)
-            slopes.append(_at_base(by_centre, poses, each))
-        centre = in_odom(poses, placed.centre)
-        distance, normal = point_gaps(_for_spheres(obstacles), np.moveaxis(centre, -1, 0))
-        distance -= self.spheres.radius[:, None]
-        nearest = np.hstack(
-            [first + distance[:, first:end].argmin(axis=1) for first, end in self._of_part]
-        )  # (k, parts * m)
-        rows, obstacle = (
-            np.arange(k)[:, None],
-            np.tile(np.arange(len(obstacles)), len(self._of_part)),
-        )
-        n = np.moveaxis(normal[:, rows, nearest, obstacle], 0, -1)
-        gaps.append(distance[rows, nearest, obstacle])
-        slopes.append(_by_coordinates(at, n, centre[rows, nearest], moved[rows, nearest], poses))
-        gap = np.hstack(gaps)
-        repeats = gap.shape[1] // max(len(obstacles), 1)
-        still = len(around.standing)
-        kind, growth = np.full(len(obstacles), STANDING), np.zeros(len(obstacles))
-        kind[still:], growth[still:] = MOVING, around.growth
-        gap -= np.tile(growth, repeats) * np.maximum(ages, 0.0)[:, None]
-        gap -= np.tile(self._time_gap * around.pace * np.hypot(*around.velocities), repeats)
-        kinds = np.broadcast_to(np.tile(kind, repeats), gap.shape)
-        return GapRows.unchecked(gap=gap, slope=np.concatenate(slopes, axis=1), kind=kinds)
+            slope[mine] = 0.0
+            slope[mine, :3] = _at_base(by_centre[:, 0], at_rows, each)
+        return slope
 
     def _own_rows(self, at: Configurations, placed: PlacedSpheres, moved: Array) -> GapRows:
         """Return the nearest gaps of the robot's parts: to the deck, and between spheres."""
@@ -309,8 +409,10 @@ class BodyGaps:
 
 
 def _for_spheres(obstacles: UprightObstacles) -> UprightObstacles:
-    """Return obstacles with centres (2, ..., M) for spheres, which have an axis before M."""
-    return obstacles.placed(obstacles.centre[..., None, :])
+    """Return obstacles with arrays (..., k, M) for spheres, which have an axis before M."""
+    return UprightObstacles.unchecked(
+        **{name: value[..., None, :] for name, value in vars(obstacles).items()}
+    )
 
 
 def in_odom(poses: Array, points: Array) -> Array:
@@ -322,29 +424,47 @@ def in_odom(poses: Array, points: Array) -> Array:
     )
 
 
-def _at_base(slopes: Array, poses: Array, rectangle: Rectangles) -> Array:
-    """Return derivatives (k, M, 4) by the coordinates from those (k, M, 3) by a rectangle."""
-    offset = rectangle.poses(poses)[:, :2] - poses[:, :2]
-    result = np.zeros((*slopes.shape[:2], COORDINATES))
-    result[..., :3] = slopes
-    result[..., 2] += slopes[..., 1] * offset[:, None, 0] - slopes[..., 0] * offset[:, None, 1]
+def _extent(obstacles: UprightObstacles) -> Array:
+    """Return the radii (M,) of discs that contain obstacles [m]."""
+    result: Array = np.hypot(*obstacles.half) + obstacles.rounding
     return result
 
 
-def _by_coordinates(
-    at: Configurations, normal: Array, centre: Array, moved: Array, poses: Array
-) -> Array:
-    """Return derivatives (k, M, 4) of gaps by the coordinates.
+def _depth(rectangle: Rectangles, poses: Array, points: Array) -> Array:
+    """Return signed distances (k, M) of points (2, M) or (2, k, M) from a rectangle at k poses."""
+    at = rectangle.poses(poses)
+    c, s = np.cos(at[:, 2, None]), np.sin(at[:, 2, None])
+    x, y = points[0] - at[:, 0, None], points[1] - at[:, 1, None]
+    ahead = np.abs(c * x + s * y) - rectangle.half[0]
+    beside = np.abs(c * y - s * x) - rectangle.half[1]
+    outside = np.hypot(np.maximum(ahead, 0.0), np.maximum(beside, 0.0))
+    result: Array = outside + np.minimum(np.maximum(ahead, beside), 0.0)
+    return result
 
-    Normals (k, M, 3) are the derivatives by the centres, in odom; centres (k, M, 3) and poses (k,
-    3) are in the frame of the obstacles; `moved` (k, M, 3, 6) is by the joints, in base_link.
+
+def _at_base(slopes: Array, poses: Array, rectangle: Rectangles) -> Array:
+    """Return derivatives (p, 3) by the platform's pose from those (p, 3) by a rectangle."""
+    offset = rectangle.poses(poses)[:, :2] - poses[:, :2]
+    turn = slopes[:, 2] + slopes[:, 1] * offset[:, 0] - slopes[:, 0] * offset[:, 1]
+    return np.column_stack([slopes[:, :2], turn])
+
+
+def _by_coordinates(
+    rates: Array, normal: Array, centre: Array, moved: Array, poses: Array
+) -> Array:
+    """Return derivatives (p, d) of gaps by the coordinates.
+
+    Normals (p, 3) are the derivatives by the centres, in odom; centres (p, 3) and poses (p, 3) are
+    in the frame of the obstacles; `moved` (p, 3, 6) is by the joints, in base_link, whose
+    derivatives by the coordinates are `rates` (p, 6, d).
     """
-    lever_arm = centre[..., :2] - poses[:, None, :2]
-    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    nx, ny, nz = np.moveaxis(normal, -1, 0)
-    in_base = np.stack((c * nx + s * ny, c * ny - s * nx, nz), axis=-1)
-    result: Array = np.einsum("kmi,kmij->kmj", in_base, moved) @ at.rates
-    result[..., 0] += nx
-    result[..., 1] += ny
-    result[..., 2] += ny * lever_arm[..., 0] - nx * lever_arm[..., 1]
+    lever_arm = centre[:, :2] - poses[:, :2]
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    nx, ny, nz = normal.T
+    in_base = np.column_stack((c * nx + s * ny, c * ny - s * nx, nz))
+    by_joints = np.einsum("pi,pij->pj", in_base, moved)
+    result: Array = np.einsum("pj,pjc->pc", by_joints, rates)
+    result[:, 0] += nx
+    result[:, 1] += ny
+    result[:, 2] += ny * lever_arm[:, 0] - nx * lever_arm[:, 1]
     return result

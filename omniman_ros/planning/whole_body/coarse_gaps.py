@@ -179,9 +179,12 @@ def _line(half: float, spacing: float) -> Array:
 
 def _placed(poses: Array, points: Array) -> tuple[Array, Array]:
     """Return x and y (k, n) of points (2, n) at poses (k, 3)."""
-    c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = points
-    return poses[:, 0, None] + c * x - s * y, poses[:, 1, None] + s * x + c * y
+    # One product each: there are millions of points.
+    along = np.column_stack([poses[:, 0], c, -s]) @ np.stack([np.ones_like(x), x, y])
+    across = np.column_stack([poses[:, 1], c, s]) @ np.stack([np.ones_like(x), y, x])
+    return along, across
 
 
 def _spans(obstacles: UprightObstacles, above: float, below: float) -> Mask:

@@ -19,7 +19,7 @@ from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
 from omniman_ros.planning.whole_body.plan_check import CycleCheck, PlanCheck, PlanVerdict
 from omniman_ros.planning.whole_body.platform_path import PlatformPath
-from omniman_ros.planning.whole_body.redundancy import COORDINATES, PATH_PARAMETER, ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, BodyRedundancy
 
 PERIOD = 0.05  #: Time from cycle to cycle [s]; a plan begins one period after its cycle
 #: Number of brakings of a motion that are checked in search of its longest clear part: a check of
@@ -56,7 +56,7 @@ class WholeBodyController:
 
     def __init__(
         self,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         gaps: BodyGaps,
         limits: WholeBodyLimits,
         linearisation: Linearisation,
@@ -66,13 +66,13 @@ class WholeBodyController:
         self._redundancy, self._gaps, self._limits = redundancy, gaps, limits
         self._linearisation, self._check, self._options = linearisation, check, options
         self._step, self._horizon = options.step, options.steps * options.step
-        self.motion = _rest(0.0, np.zeros(COORDINATES))
+        self.motion = _rest(0.0, np.zeros(len(redundancy.bound)))
         self._choice: MotionChoice | None = None
         #: Times at which motions that brake begin to, by the times at which they end [s]
         self._brakes_from: dict[float, float] = {}
 
     def begin(self, time: float, start: Array) -> None:
-        """Begin at rest at a time [s] at redundancy coordinates (4,).
+        """Begin at rest at a time [s] at redundancy coordinates (d,).
 
         Raises:
             InputError: The tool is out of reach there.
@@ -228,10 +228,8 @@ class WholeBodyController:
     def _near(self, now: float, around: ObstacleSnapshot) -> ObstacleSnapshot:
         """Return what is around the robot, without standing obstacles that are far away."""
         places, _ = self.motion.sample(now)
-        offset = around.standing.centre - places[:2, None]
-        extent = np.hypot(*around.standing.half) + around.standing.rounding
         reach = OBSTACLE_CUTOFF + self._gaps.radius
-        index = np.flatnonzero(np.hypot(*offset) - extent < reach)
+        index = around.standing_near(places[:2], reach)
         moving = around.moving.obstacles.centre + (now - around.time) * around.moving.velocity
         closing = np.hypot(*around.moving.velocity) * self._horizon
         is_near = np.hypot(*(moving - places[:2, None])) - closing < reach + 1.0
@@ -239,5 +237,5 @@ class WholeBodyController:
 
 
 def _rest(time: float, z: Array) -> HermiteTrajectory:
-    """Return a motion at rest at redundancy coordinates (4,) from a time [s] on."""
-    return HermiteTrajectory.coasting(time, z, np.zeros(COORDINATES), 0)
+    """Return a motion at rest at redundancy coordinates (d,) from a time [s] on."""
+    return HermiteTrajectory.coasting(time, z, np.zeros_like(z), 0)

@@ -1,12 +1,11 @@
-"""Speeds at which the tool may pass the bends of its path."""
+"""Speeds at which the bends of a path may be passed."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
-from omniman_ros.planning.whole_body.redundancy import LedPath
 
 CELL = 0.001  #: Length of a cell of the path for which a speed is known [m]
 MAX_CELLS = 100_000  #: Largest number of cells
@@ -16,21 +15,19 @@ BRAKING = 0.6  #: Fraction of the acceleration by which the tool brakes before a
 
 
 class CornerSpeeds:
-    """Rates of the path parameter at which bends keep the tool's acceleration.
+    """Rates of the path parameter at which bends keep an acceleration.
 
-    At a constant rate s' the tool accelerates by s'^2 times the derivative t' of its twist per s,
-    a rotation counting by `ROTATION_LENGTH`. So s' <= sqrt(a / |t'|) for the acceleration a
-    [m/s^2].
+    At a constant rate s', what follows the path accelerates by s'^2 times its bend b(s) [1/m]. So
+    s' <= sqrt(a / b) for the acceleration a [m/s^2].
+
+    Args:
+        bends: Returns b (k,) at places (k,) from 0 to the path's end [m].
     """
 
-    def __init__(self, path: LedPath, acceleration: float) -> None:
-        count = min(max(1, math.ceil(path.end / CELL)), MAX_CELLS)
-        self._size = max(path.end, CELL) / count
-        at = np.linspace(0.0, path.end, SAMPLES * count + 1)
-        _, _, bend = path.motion(at)
-        linear = np.linalg.norm(bend[:, :3], axis=1)
-        angular = ROTATION_LENGTH * np.linalg.norm(bend[:, 3:], axis=1)
-        strongest = np.maximum(linear, angular)
+    def __init__(self, end: float, bends: Callable[[Array], Array], acceleration: float) -> None:
+        count = min(max(1, math.ceil(end / CELL)), MAX_CELLS)
+        self._size = max(end, CELL) / count
+        strongest = bends(np.linspace(0.0, end, SAMPLES * count + 1))
         cells = np.maximum.reduceat(strongest, np.arange(0, SAMPLES * count, SAMPLES))
         cells = np.maximum(cells, strongest[SAMPLES::SAMPLES])
         squares = acceleration / np.maximum(cells, 1e-9)

@@ -1,7 +1,8 @@
 """What the whole body keeps clear of: standing obstacles, and those that move or may move."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -86,19 +87,23 @@ class ObstacleSnapshot(Validated):
             names=(*still, *fixed_names, *walking),
         )
 
-    @property
+    @cached_property
     def velocities(self) -> Array:
         """Velocities (2, M) of all obstacles, the standing ones first [m/s]."""
         return np.hstack([np.zeros((2, len(self.standing))), self.moving.velocity])
 
-    def placed(self, ages: Array) -> UprightObstacles:
-        """Return all M obstacles, the standing ones first, at times (k,) after theirs [s].
+    def placed(self, ages: Array, numbers: Indices) -> UprightObstacles:
+        """Return obstacles with numbers (k, n), the standing ones first, at ages (k,) [s].
 
-        Their centres (2, k, M) differ from time to time [m].
+        All arrays of the result are (..., k, n).
         """
-        obstacles = UprightObstacles.join([self.standing, self.moving.obstacles])
-        velocity = self.velocities
-        return obstacles.placed(obstacles.centre[:, None] + ages[:, None] * velocity[:, None])
+        chosen = self._everything.select(numbers)
+        return chosen.placed(chosen.centre + ages[:, None] * self.velocities[:, numbers])
+
+    @cached_property
+    def _everything(self) -> UprightObstacles:
+        """All obstacles at their time, the standing ones first."""
+        return UprightObstacles.join([self.standing, self.moving.obstacles])
 
     def slowed(self, time: float, pace: float) -> "ObstacleSnapshot":
         """Return the same in the motion time of a robot at a pace, in which what moves is faster.
@@ -106,14 +111,23 @@ class ObstacleSnapshot(Validated):
         A robot slower than `SLOWEST_PACE` all but stands.
         """
         pace = max(pace, SLOWEST_PACE)
-        velocity, growth = self.moving.velocity / pace, self.growth / pace
-        return replace(
-            self,
-            time=time,
-            moving=MovingObstacles(self.moving.obstacles, velocity),
-            growth=growth,
-            pace=pace,
+        moving = MovingObstacles.unchecked(
+            obstacles=self.moving.obstacles, velocity=self.moving.velocity / pace
         )
+        return ObstacleSnapshot.unchecked(
+            time=time,
+            standing=self.standing,
+            moving=moving,
+            growth=self.growth / pace,
+            pace=pace,
+            names=self.names,
+        )
+
+    def standing_near(self, place: Array, reach: float) -> Indices:
+        """Return the numbers of those that stand within a reach [m] of a place (2,), or more."""
+        offset = self.standing.centre - place[:, None]
+        extent = np.hypot(*self.standing.half) + self.standing.rounding
+        return np.flatnonzero(np.hypot(*offset) - extent < reach)
 
     def selected(self, standing: Indices, moving: Indices) -> "ObstacleSnapshot":
         """Return some of the obstacles by their numbers among those that stand and that move."""

@@ -1,6 +1,6 @@
 """Parameters of the motion of the whole body around obstacles."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.parameters import parameter
@@ -107,6 +107,43 @@ class AvoidanceOptions(Validated):
 
 
 @dataclass(frozen=True)
+class OrientationFreedom(Validated):
+    """What paths of the tool leave free of its orientation; its position is held."""
+
+    free_axis: str = parameter(
+        "none",
+        "Axis of `tool0` about which the tool may rotate on its paths; none: its orientation is "
+        "held.",
+        choices=("none", "x", "y", "z"),
+    )
+    cone: float = parameter(
+        0.0,
+        "Half angle of the cone in which that axis may tilt; 0: it is held.",
+        unit="rad",
+        low=0.0,
+        high=1.5,
+    )
+    pivot: float = parameter(
+        0.0,
+        "Distance from `tool0`, along that axis, of the point that is held while it tilts, such "
+        "as the tip of the tool.",
+        unit="m",
+        low=-2.0,
+        high=2.0,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cone > 0.0 and not self.is_free:
+            raise self._refusal("cone", "needs a free_axis")
+
+    @property
+    def is_free(self) -> bool:
+        """Whether there is a free axis."""
+        return self.free_axis != "none"
+
+
+@dataclass(frozen=True)
 class BodySetup(Validated):
     """What a task needs to know of the robot."""
 
@@ -116,6 +153,8 @@ class BodySetup(Validated):
     load: LoadShape | None  #: Shape of the load, if any
     path: ToolPathOptions  #: Options of tool paths
     dodge: AvoidanceOptions  #: Options of the way around obstacles
+    #: What is free of the tool's orientation on its paths
+    freedom: OrientationFreedom = field(default_factory=OrientationFreedom)
 
 
 def led_tool(options: ToolPathOptions) -> ToolPathOptions:

@@ -8,16 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.redundancy_resolver import RedundancyResolver
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
-from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.body_gaps import NEAR, BodyGaps
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import AvoidanceOptions
-from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import (
+    PATH_PARAMETER,
+    BodyRedundancy,
+    SingularityMargins,
+)
 
 SAMPLE_STEP = 0.04  #: Time between two samples of a motion [s]
 #: Part of the least gaps that a robot may consume which is about as close as allowed [m]. It does
@@ -59,23 +63,26 @@ class PlanVerdict:
 
 
 class PlanCheck:
-    """Checks motions in the redundancy on a fine grid in time."""
+    """Checks motions in the redundancy on a fine grid in time.
+
+    Args:
+        margins: The arm's margins to singularities; None: it may pass through them.
+    """
 
     def __init__(
         self,
-        redundancy: ToolRedundancy,
+        redundancy: BodyRedundancy,
         gaps: BodyGaps,
         balance: BodyBalance,
-        resolver: RedundancyResolver,
+        margins: SingularityMargins | None,
         limits: WholeBodyLimits,
-        least_margin: float,
         options: AvoidanceOptions,
     ) -> None:
-        self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
+        self._redundancy, self._gaps, self._margins = redundancy, gaps, margins
         self._balance = balance
         self._limits, self._options = limits, options
-        self._least_margin = least_margin
-        self._signs = resolver.signs(redundancy.centre)
+        self._reach = max(NEAR, options.clearance, options.moving_clearance)
+        self.radius = gaps.radius  #: Distance of the platform's farthest point from its centre [m]
 
     def judge(
         self,
@@ -102,10 +109,10 @@ class PlanCheck:
         z, index = np.concatenate([each[1] for each in samples]), np.concatenate(seen)
         q = self._redundancy.axes(z)
         placed = self._gaps.spheres.place(q[:, 3:])
-        own = self._gaps.own(placed)
+        own, masses = self._gaps.own(placed), self._balance.arm_centres(placed.frames)
         ages = np.concatenate([each[0] for each in samples]) - around.time
-        of_parts = self._gaps.to_obstacles(
-            z[index, :3], placed.centre[index], around.placed(ages), len(around.standing)
+        gaps, parts = self._gaps.to_obstacles(
+            z[index, :3], placed.centre[index], around, ages, self._reach
         )
         verdicts, begin, first = [], 0, 0
         for times, at, rates in samples:
@@ -114,14 +121,15 @@ class PlanCheck:
             found = (
                 self._impossible(times, at, rates, q[mine])
                 or self._too_near_itself(at, placed, own[mine], mine.start)
-                or self._tips_over(times, at, placed.frames[mine])
+                or self._tips_over(times, at, masses[mine])
             )
             if found is not None:
                 fault, k = found
                 verdict = PlanVerdict(fault, float(times[k]), -math.inf, -math.inf)
             else:
                 places = z[index[first:last], PATH_PARAMETER]
-                verdict = self._beside(times, places, of_parts[first:last], around)
+                there = slice(first, last)
+                verdict = self._beside(times, places, gaps[there], parts[there], around)
             verdicts.append(verdict)
             first = last
         return verdicts
@@ -140,28 +148,35 @@ class PlanCheck:
         parts = self._gaps.nearest_own(placed, begin + k)
         return Obstruction(Cause.SELF, float(z[k, PATH_PARAMETER]), *parts), k
 
-    def _tips_over(self, times: Array, z: Array, frames: Array) -> tuple[Obstruction, int] | None:
-        """Return that the robot would be too close to tipping over, and the sample; or None."""
-        at_rest = self._balance.rest_margin(frames[0])
+    def _tips_over(self, times: Array, z: Array, arm: Array) -> tuple[Obstruction, int] | None:
+        """Return that the robot would be too close to tipping over, and the sample; or None.
+
+        The arm's centres of mass are (k, 3) [m].
+        """
+        at_rest = self._balance.rest_margin(arm[0])
         least = min(self._options.tip_over_margin, REST_FRACTION * at_rest)
-        is_low = self._balance.margins(times[: len(z)], z[:, :3], frames) < least
+        is_low = self._balance.margins(times[: len(z)], z[:, :3], arm) < least
         if not is_low.any():
             return None
         k = 1 + int(is_low.argmax())
         return Obstruction(Cause.TIPPING, float(z[k, PATH_PARAMETER])), k
 
     def _beside(
-        self, times: Array, places: Array, of_parts: Array, around: ObstacleSnapshot
+        self,
+        times: Array,
+        places: Array,
+        gaps: Array,
+        parts: Indices,
+        around: ObstacleSnapshot,
     ) -> PlanVerdict:
-        """Return the verdict on gaps (k, parts, M) to obstacles at times and places (k,)."""
+        """Return the verdict on gaps (k, M) of nearest parts at times and places (k,)."""
         o, standing = self._options, len(around.standing)
-        gaps = of_parts.min(axis=1)
         if not gaps.shape[1]:
             return PlanVerdict(None, math.inf, math.inf, math.inf)
 
         def obstacle(k: int, index: int) -> Obstruction:
             cause = Cause.STANDING if index < standing else Cause.MOVING
-            part = self._gaps.part_name(int(of_parts[k, :, index].argmin()))
+            part = self._gaps.part_name(int(parts[k, index]))
             return Obstruction(cause, float(places[k]), part, around.labels()[index])
 
         # What is touched already counts for the gap alone: who leaves it must not touch others.
@@ -189,7 +204,6 @@ class PlanCheck:
             k = int(is_reached.argmin())
             return Obstruction(Cause.REACH, float(z[k, PATH_PARAMETER])), k
         limits, arm, span = self._limits, q[:, 3:], times[1] - times[0]
-        margins, _ = self._resolver.margins(arm, self._signs)
         speeds = np.diff(arm, axis=0) / span
         accelerations = np.abs(np.diff(speeds, axis=0)) / span
         c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
@@ -198,11 +212,12 @@ class PlanCheck:
         faults = {
             Cause.JOINT_LIMIT: (arm < limits.lower[3:]) | (arm > limits.upper[3:]),
             Cause.REVOLUTION: span * np.abs(speeds) > math.pi,
-            Cause.SINGULARITY: margins < self._least_margin,
             Cause.JOINT_SPEED: np.abs(speeds) > EXCESS * limits.velocity[3:],
             Cause.JOINT_ACCELERATION: accelerations > EXCESS * limits.acceleration[3:],
             Cause.WHEEL_SPEED: np.abs(wheels) > EXCESS * limits.wheel_speed,
         }
+        if self._margins is not None:
+            faults[Cause.SINGULARITY] = self._margins.at(arm)[0] < self._margins.least
         for cause, broken in faults.items():
             if broken.any():
                 k, axis = divmod(int(broken.argmax()), broken.shape[1])

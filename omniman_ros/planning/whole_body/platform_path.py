@@ -22,15 +22,19 @@ class NoPathError(InputError):
 
 @dataclass(frozen=True)
 class PlatformPath(Validated):
-    """Poses of the platform at equally spaced places of the tool's path, joined smoothly."""
+    """Poses of the platform at equally spaced places of the tool's path, joined smoothly.
+
+    Where the tool's orientation is free, its free coordinates follow those of each pose: c are 3
+    or more.
+    """
 
     start: float  #: Parameter of the tool's path at the first pose [m]
     end: float  #: Parameter at the last pose [m]
-    #: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad]
-    poses: Annotated[Array, Shape("n", 3)]
+    #: Poses (n + 1, c) of base_link in odom, headings not wrapped [m, m, rad]
+    poses: Annotated[Array, Shape("n", "c")]
 
     def at(self, places: Array) -> tuple[Array, Array]:
-        """Return poses (k, 3) at places (k,) [m], held at the ends, and their derivatives."""
+        """Return poses (k, c) at places (k,) [m], held at the ends, and their derivatives."""
         length = max(self.end - self.start, 1e-9)
         inside = np.clip(places - self.start, 0.0, length)
         pose, slope, _ = PlatformSpline(self.poses, length).motion(inside)

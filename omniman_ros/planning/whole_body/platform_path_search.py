@@ -5,12 +5,17 @@ on a grid around the tool, with headings all around. The grid turns with the too
 vertical, so that the arm's posture at a point of the grid is the same wherever the tool has the
 same height and tilt. Of all ways, one with the least sum of costs is found: of the arm's shape,
 of narrow gaps, and of the platform's travel from layer to layer.
+
+Where the tool's orientation is free, each point of the grid has the one with the best shape of the
+arm, tilted only where that is needed. Along the way that is found, a second search chooses among
+more of them, for the same costs and that of the change from layer to layer.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from omniman_ros.collision.body_spheres import PlacedSpheres
 from omniman_ros.collision.convex_search import Indices
@@ -28,11 +33,16 @@ from omniman_ros.motion.whole_body.redundancy_resolver import (
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps, in_odom
 from omniman_ros.planning.whole_body.coarse_gaps import CoarseGaps
+from omniman_ros.planning.whole_body.free_orientation import FreeOrientation
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import PathSearchOptions
 from omniman_ros.planning.whole_body.platform_path import NoPathError, PlatformPath
-from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER, ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import (
+    COORDINATES,
+    PATH_PARAMETER,
+    ToolRedundancy,
+)
 
 #: Largest horizontal distance of base_link from the tool that is tried [m]
 MAX_TOOL_DISTANCE = 1.2
@@ -47,7 +57,18 @@ SECTION = 3.0
 SHEET_END = 0.3  #: Distance that joints keep from half a revolution away from their start [rad]
 LIMIT_RESERVE = 0.1  #: Distance that joints keep from their limits [rad]
 SINGULARITY_RESERVE = 1.5  #: Margin to singularities relative to the least one
+#: Numbers of rotations about a free axis, and of directions in which it tilts, for the platform's
+#: way and along it
+COARSE_ROTATIONS, FINE_ROTATIONS = (8, 4), (24, 8)
+TILTED = 0.9  #: Free coordinate with which it tilts, over the half angle of the cone
+FREE_COST = 0.3  #: Weight of a free orientation per layer, of 1 rad, relative to the arm's shape
+FREE_TRAVEL = 6.0  #: Weight of its change from layer to layer [1/rad^2]
+#: Largest change of a joint from layer to layer [rad]: one by more passes a joint's end, half a
+#: revolution away from its start
+JUMP = math.pi
 OWN_GAP = 0.0  #: Gap between the spheres of the robot's parts, which are larger than these [m]
+
+Choices = NDArray[np.int16]  #: Numbers of the steps from layer to layer, on the grid
 
 
 @dataclass(frozen=True)
@@ -83,13 +104,27 @@ class PlatformPathSearch:
         self._lower: Array = np.minimum(np.maximum(lower, centre - room), centre)
         self._upper: Array = np.maximum(np.minimum(upper, centre + room), centre)
         self._known: dict[tuple[int, ...], _Configurations] = {}
+        self._rotations = self._free_rotations(np.zeros(1), COARSE_ROTATIONS)
 
     def find(self, start: Array, around: ObstacleSnapshot) -> PlatformPath:
-        """Find a way from coordinates (4,) to the end of the path, past what stands.
+        """Find a way from coordinates (4 + d,) to the end of the path, past what stands.
 
         Raises:
             NoWayError: There is none.
         """
+        tried = [self._free_rotations(start[COORDINATES:], COARSE_ROTATIONS)]
+        if len(tried[0]) > 1:  # else as if the orientation was held
+            tried.append(np.zeros((1, len(start) - COORDINATES)))
+        errors = list[NoPathError]()
+        for self._rotations in tried:
+            try:
+                return self._way(start, around)
+            except NoPathError as error:
+                errors.append(error)
+        raise errors[0]
+
+    def _way(self, start: Array, around: ObstacleSnapshot) -> PlatformPath:
+        """Return a way with one of `_rotations` at each place; see `find`."""
         o, path = self._options, self._path
         first = float(start[PATH_PARAMETER])
         count = max(3, math.ceil((path.end - first) / o.layer))
@@ -99,11 +134,12 @@ class PlatformPathSearch:
         self._known.clear()
         cost = np.full(grid.shape, np.inf)
         cost[grid.middle] = 0.0
-        choices, section = [], math.ceil(SECTION / o.layer)
+        choices, gaps, section = [], [], math.ceil(SECTION / o.layer)
         for k in range(1, count + 1):
             if (k - 1) % section == 0:
                 near = slice(k, k + section)
                 coarse = self._coarse(grid, places[near], upright[near], around.standing)
+            gaps.append(coarse)
             cost, choice = grid.moved(cost, upright[k - 1], upright[k])
             choices.append(choice)
             reached = np.isfinite(cost.ravel())
@@ -114,7 +150,11 @@ class PlatformPathSearch:
                 found = _obstruction(float(places[k - 1]), block, around.labels())
                 where = describe_position(path, float(places[k - 1]))
                 raise NoPathError(f"{where}beyond it, {found.reason}", found)
-        return PlatformPath(first, path.end, _traced(grid, cost, choices, upright, start))
+        poses = _traced(grid, cost, choices, upright, start)
+        if self.redundancy.free is not None:
+            free = self._orientations(self.redundancy.free, start, poses, places, gaps)
+            poses = np.hstack([poses, free])
+        return PlatformPath(first, path.end, poses)
 
     def ends(self, start: Array, around: ObstacleSnapshot) -> Array:
         """Return poses (n, 3) of the platform, cheapest first, with the tool at the path's end.
@@ -215,21 +255,110 @@ class PlatformPathSearch:
         tool = np.linalg.inv(planar_transform(np.array([x, y, psi]))) @ path.pose(
             np.array([place])
         )
-        pose = grid.poses
-        cell = np.flatnonzero(self._within_reach(pose, tool[0]))
-        pose = pose[cell]
-        arm = self.redundancy.arm(pose, np.broadcast_to(tool, (len(cell), 4, 4)))
+        pose, count = grid.poses, len(grid.poses)
+        least, postures = np.full(count, np.inf), np.empty((count, 6))
+        for f in self._rotations:
+            turned = self._turned(tool, f[None])
+            near = np.flatnonzero(self._within_reach(pose, turned[0]))
+            if f[1:].any():  # tilted only where that is needed
+                near = near[np.isinf(least[near])]
+            arm, cost = self._shaped(pose[near], np.broadcast_to(turned, (len(near), 4, 4)), f)
+            is_better = cost < least[near]
+            better = near[is_better]
+            least[better], postures[better] = cost[is_better], arm[is_better]
+        cell = np.flatnonzero(np.isfinite(least))
+        pose, arm, cost = pose[cell], postures[cell], least[cell]
+        placed = self._gaps.spheres.place(arm)
+        is_apart = self._gaps.own(placed) >= OWN_GAP if len(cell) else np.zeros(0, dtype=bool)
+        cell, pose, cost = cell[is_apart], pose[is_apart], cost[is_apart]
+        centre = in_odom(pose, placed.centre[is_apart])
+        return _Configurations(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
+
+    def _shaped(self, pose: Array, tool: Array, f: Array) -> tuple[Array, Array]:
+        """Return joint angles (n, 6) for poses (n, 3) and a tool (n, 4, 4), and their costs (n,).
+
+        They are infinite where the arm cannot be. The tool is turned by free coordinates (d,) or
+        (n, d).
+        """
+        arm = self.redundancy.arm(pose, tool)
         margins, _ = self._resolver.margins(arm, self._signs)
         is_possible = (margins >= self._least_margin).all(axis=1)
         is_possible &= ((arm >= self._lower) & (arm <= self._upper)).all(axis=1)
-        cell, pose, arm = cell[is_possible], pose[is_possible], arm[is_possible]
-        placed = self._gaps.spheres.place(arm)
-        is_apart = self._gaps.own(placed) >= OWN_GAP if len(cell) else np.zeros(0, dtype=bool)
-        cell, pose, arm = cell[is_apart], pose[is_apart], arm[is_apart]
         difference = arm - self.redundancy.centre
-        cost = self._options.shape * (CONFIGURATION_WEIGHTS * difference**2).sum(axis=1)
-        centre = in_odom(pose, placed.centre[is_apart])
-        return _Configurations(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
+        shape = (CONFIGURATION_WEIGHTS * difference**2).sum(axis=1)
+        bound = self.redundancy.bound[COORDINATES:]
+        turn = (FREE_COST / np.minimum(bound, 1.0) ** 2 * f * f).sum(axis=-1)
+        cost = self._options.shape * (shape + turn)
+        return arm, np.where(is_possible, cost, np.inf)
+
+    def _turned(self, poses: Array, f: Array) -> Array:
+        """Return poses (k, 4, 4) of the tool turned by free coordinates (k, d), if there are."""
+        free = self.redundancy.free
+        return poses if free is None else free.turned(poses, f)
+
+    def _free_rotations(self, start: Array, counts: tuple[int, int]) -> Array:
+        """Return free coordinates (n, d) that are tried, from those (d,) at the start on.
+
+        The numbers are those of rotations about the axis and of directions of its tilt.
+        """
+        free = self.redundancy.free
+        if free is None:
+            return np.zeros((1, 0))
+        about = start[0] + math.tau / counts[0] * np.arange(-counts[0] // 2 + 1, counts[0] // 2)
+        tilt = np.zeros((1, len(free.bound) - 1))
+        if tilt.shape[1]:
+            angles = math.tau / counts[1] * np.arange(counts[1])
+            ring = np.column_stack([np.cos(angles), np.sin(angles)])
+            tilt = np.vstack([tilt, TILTED * free.cone * ring])
+        return np.column_stack([np.tile(about, len(tilt)), np.repeat(tilt, len(about), axis=0)])
+
+    def _orientations(
+        self,
+        free: FreeOrientation,
+        start: Array,
+        poses: Array,
+        places: Array,
+        gaps: list[CoarseGaps],
+    ) -> Array:
+        """Return free coordinates (n + 1, d) along a way, from those of the start (4 + d,) on.
+
+        The way has poses (n + 1, 3) at places (n + 1,), and gaps to what stands from each layer to
+        the next.
+
+        Raises:
+            NoPathError: There are none between which the joints go on steadily.
+        """
+        o, begin = self._options, start[COORDINATES:]
+        tried = np.vstack([begin, self._free_rotations(begin, FINE_ROTATIONS)])
+        change = tried[:, None] - tried
+        travel = FREE_TRAVEL * (change * change).sum(axis=2)
+        tools = self._path.pose(places)
+        least, choices = np.where(travel[0] == 0.0, 0.0, np.inf), []
+        before = np.broadcast_to(self.redundancy.centre, (len(tried), 6))
+        for k, coarse in enumerate(gaps, 1):
+            pose = np.broadcast_to(poses[k], (len(tried), 3))
+            tool = free.turned(np.broadcast_to(tools[k], (len(tried), 4, 4)), tried)
+            arm, cost = self._shaped(pose, tool, tried)
+            possible = np.flatnonzero(np.isfinite(cost))
+            if len(possible):
+                placed = self._gaps.spheres.place(arm[possible])
+                centre = np.moveaxis(in_odom(pose[possible], placed.centre), -1, 0)
+                gap = np.minimum(coarse.arm(centre), o.wide)
+                cost[possible] += o.narrow * ((o.wide - gap) / o.wide) ** 2
+                is_near = (gap < o.margin) | (self._gaps.own(placed) < OWN_GAP)
+                cost[possible[is_near]] = np.inf
+            jumps = np.abs(arm - before[:, None]).max(axis=2) > JUMP
+            reached = np.where(jumps, np.inf, least[:, None] + travel)
+            choices.append(reached.argmin(axis=0))
+            least, before = reached.min(axis=0) + cost, arm
+            if not np.isfinite(least).any():
+                found = Obstruction(Cause.REACH, float(places[k]))
+                where = describe_position(self._path, found.path_parameter)
+                raise NoPathError(f"{where}{found.reason}", found)
+        chosen = [int(least.argmin())]
+        for choice in reversed(choices):
+            chosen.append(int(choice[chosen[-1]]))
+        return tried[chosen[::-1]]
 
     def _within_reach(self, pose: Array, tool: Array) -> Array:
         """Return which poses (n, 3) of the platform have the wrist within the arm's length."""
@@ -276,7 +405,7 @@ class _Grid:
         x, y, h = np.meshgrid(self.x, self.y, self.heading, indexing="ij")
         self.poses: Array = np.stack((x, y, h), axis=-1).reshape(-1, 3)
 
-    def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Indices]:
+    def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Choices]:
         """Return the least costs after a step from one layer to the next, and the choices.
 
         The frames before and after are x, y and psi (3,) of the tool.
@@ -287,15 +416,15 @@ class _Grid:
         for k in range(-SHIFTS, SHIFTS + 1):
             shifted = np.roll(cost, k, axis=2) + o.turn * (k * self._turn + turn) ** 2
             is_less = shifted < turned
-            turned[is_less] = shifted[is_less]
-            by_heading[is_less] = k + SHIFTS
+            np.copyto(turned, shifted, where=is_less)
+            np.copyto(by_heading, k + SHIFTS, where=is_less)
         # Where a platform that stands would be in the next layer's frame.
         stay = _relative(after, _carried(before, np.zeros(3)))
         c, s = math.cos(stay[2]), math.sin(stay[2])
         x, y = np.meshgrid(self.x, self.y, indexing="ij")
         ex = x - (c * x - s * y + stay[0])
         ey = y - (s * x + c * y + stay[1])
-        best, choice = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.intp)
+        best, choice = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.int16)
         for a in range(-SHIFTS, SHIFTS + 1):
             for b in range(-SHIFTS, SHIFTS + 1):
                 travel = o.travel * ((ex + a * o.grid) ** 2 + (ey + b * o.grid) ** 2)
@@ -304,9 +433,9 @@ class _Grid:
                 tried = turned[from_x, from_y] + travel[from_x, from_y, None]
                 target, chosen = best[to_x, to_y], choice[to_x, to_y]
                 is_less = tried < target
-                target[is_less] = tried[is_less]
-                code = ((a + SHIFTS) * span + b + SHIFTS) * span
-                chosen[is_less] = code + by_heading[from_x, from_y][is_less]
+                np.copyto(target, tried, where=is_less)
+                code = np.int16(((a + SHIFTS) * span + b + SHIFTS) * span)
+                np.copyto(chosen, by_heading[from_x, from_y] + code, where=is_less)
         return best, choice
 
 
@@ -319,7 +448,7 @@ def _overlap(shift: int, count: int) -> tuple[slice, slice]:
 
 
 def _traced(
-    grid: _Grid, cost: Array, choices: list[Indices], upright: Array, start: Array
+    grid: _Grid, cost: Array, choices: list[Choices], upright: Array, start: Array
 ) -> Array:
     """Return the poses (n + 1, 3) of the way with the least cost, headings going on."""
     span = 2 * SHIFTS + 1

@@ -16,27 +16,30 @@ from omniman_ros.core.validated import Validated
 from omniman_ros.planning.mpc.quadratic_program import INFINITY, QuadraticProgram, SolverError
 from omniman_ros.planning.whole_body.redundancy import COORDINATES
 
-STATES = 2 * COORDINATES  #: Number of states: the redundancy coordinates and their rates
 #: Number of classes of slack: what stands and the robot itself; limits of the arm and wheels,
 #: singularities; what moves.
 CLASSES = 3
 STANDING, LIMITS, MOVING = range(CLASSES)
 CRITICAL = 14  #: Number of rows of each stage with which a program is solved first
 #: Changes of states and accelerations by which rows are ranked; steps seldom have larger ones
-RANKED_BY_X = np.array([0.06, 0.06, 0.1, 0.06, 0.15, 0.15, 0.2, 0.15])
-RANKED_BY_U: Array = np.full(COORDINATES, 0.5)
+RANKED_BY_X = np.array([[0.06, 0.06, 0.1, 0.06], [0.15, 0.15, 0.2, 0.15]])
+RANKED_FREE = 0.1, 0.2  #: Those of the coordinates of a free orientation [rad, rad/s]
+RANKED_BY_U = 0.5
 BROKEN = 1e-5  #: Excess over a row above which a solution does not obey it
 
 
 @dataclass(frozen=True)
 class StageRows(Validated):
-    """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each."""
+    """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each.
+
+    There are d redundancy coordinates, and X = 2 d states: the coordinates and their rates.
+    """
 
     value: Annotated[Array, Shape("N", "R")]  #: (N, R) values at the guess
-    #: (N, R, 8) derivatives by the state at the stage's end
-    by_x: Annotated[Array, Shape("N", "R", 8)]
-    #: (N, R, 4) derivatives by the stage's accelerations
-    by_u: Annotated[Array, Shape("N", "R", 4)]
+    #: (N, R, X) derivatives by the state at the stage's end
+    by_x: Annotated[Array, Shape("N", "R", "X")]
+    #: (N, R, d) derivatives by the stage's accelerations
+    by_u: Annotated[Array, Shape("N", "R", "d")]
     slack: Annotated[Indices, Shape("N", "R")]  #: (N, R) numbers of the classes of slack
 
     @staticmethod
@@ -63,30 +66,30 @@ class StageRows(Validated):
 class Quadratic(Validated):
     """Cost of a step, and its bounds."""
 
-    #: (N, 8, 8) matrices of the states at the stages' ends
-    hessian: Annotated[Array, Shape("N", 8, 8)]
-    gradient: Annotated[Array, Shape("N", 8)]  #: (N, 8) their gradients
-    #: (4,) diagonal of the matrix of the accelerations
-    control_hessian: Annotated[Array, Shape(4)]
-    control_gradient: Annotated[Array, Shape("N", 4)]  #: (N, 4) their gradients
-    #: (2, N, 4) least and largest changes of the accelerations
-    control_bounds: Annotated[Array, Shape(2, "N", 4)]
-    #: (2, N, 8) least and largest changes of the states
-    state_bounds: Annotated[Array, Shape(2, "N", 8)]
+    #: (N, X, X) matrices of the states at the stages' ends
+    hessian: Annotated[Array, Shape("N", "X", "X")]
+    gradient: Annotated[Array, Shape("N", "X")]  #: (N, X) their gradients
+    #: (d,) diagonal of the matrix of the accelerations
+    control_hessian: Annotated[Array, Shape("d")]
+    control_gradient: Annotated[Array, Shape("N", "d")]  #: (N, d) their gradients
+    #: (2, N, d) least and largest changes of the accelerations
+    control_bounds: Annotated[Array, Shape(2, "N", "d")]
+    #: (2, N, X) least and largest changes of the states
+    state_bounds: Annotated[Array, Shape(2, "N", "X")]
 
 
 @dataclass(frozen=True)
 class ProgramSolution(Validated):
     """Solution of a program."""
 
-    controls: Annotated[Array, Shape("N", 4)]  #: (N, 4) changes of the accelerations
-    states: Annotated[Array, Shape("N", 8)]  #: (N, 8) changes of the states at the stages' ends
+    controls: Annotated[Array, Shape("N", "d")]  #: (N, d) changes of the accelerations
+    states: Annotated[Array, Shape("N", "X")]  #: (N, X) changes of the states at the stages' ends
     slack: Annotated[Array, Shape("N", 3)]  #: (N, 3) slack of each class
 
 
-def transition(step: float) -> tuple[Array, Array]:
-    """Return A (8, 8) and B (8, 4) of the exact dynamics over a step [s]."""
-    eye, zero = np.eye(COORDINATES), np.zeros((COORDINATES, COORDINATES))
+def transition(step: float, coordinates: int) -> tuple[Array, Array]:
+    """Return A (2 d, 2 d) and B (2 d, d) of the exact dynamics over a step [s]."""
+    eye, zero = np.eye(coordinates), np.zeros((coordinates, coordinates))
     a = np.block([[eye, step * eye], [zero, eye]])
     b = np.vstack([0.5 * step**2 * eye, step * eye])
     return a, b
@@ -95,49 +98,56 @@ def transition(step: float) -> tuple[Array, Array]:
 class RedundancyProgram:
     """Solves the programs of all cycles, which have the same structure.
 
-    They have N steps of a length [s], each with a stage of R rows, and weights (3,) of the slack
-    and of its squares.
+    They have N steps of a length [s], each with a stage of R rows, weights (3,) of the slack and
+    of its squares, and d redundancy coordinates.
     """
 
     def __init__(
-        self, steps: int, step: float, rows: int, linear: Array, quadratic: Array
+        self,
+        steps: int,
+        step: float,
+        rows: int,
+        linear: Array,
+        quadratic: Array,
+        coordinates: int = COORDINATES,
     ) -> None:
-        self._steps, self._rows = steps, rows
-        self._a, self._b = transition(step)
+        self._steps, self._rows, self._coordinates = steps, rows, coordinates
+        self._a, self._b = transition(step, coordinates)
         self._linear, self._quadratic = linear, quadratic
-        inputs = self._inputs = COORDINATES + CLASSES
-        width = self._width = inputs + STATES
-        height = STATES + rows
+        states = 2 * coordinates
+        inputs = self._inputs = coordinates + CLASSES
+        width = self._width = inputs + states
+        height = states + rows
         total = steps * width
         # Positions of a stage's block [x_k, u_k, slack_k] and of -x_(k+1) in A.
         block = np.zeros((steps * height, total), dtype=np.intp)
         count = height * width
         for k in range(steps):
             numbers = 1 + k * count + np.arange(count).reshape(height, width)
-            first = k * width - STATES
+            first = k * width - states
             top = slice(k * height, (k + 1) * height)
             if k:
                 block[top, first : first + width] = numbers
             else:
-                block[top, :inputs] = numbers[:, STATES:]
+                block[top, :inputs] = numbers[:, states:]
             end = first + width
-            for row in range(STATES):
+            for row in range(states):
                 block[k * height + row, end + row] = -1
         hessian = np.zeros((total, total), dtype=np.intp)
         for k in range(steps):
             at = k * width
             for i in range(inputs):
                 hessian[at + i, at + i] = 1 + i
-            square = 1 + inputs + k * STATES**2 + np.arange(STATES**2)
+            square = 1 + inputs + k * states**2 + np.arange(states**2)
             of_state = slice(at + inputs, at + width)
-            hessian[of_state, of_state] = square.reshape(STATES, STATES)
+            hessian[of_state, of_state] = square.reshape(states, states)
         self._of_a, self._of_h = block.T[block.T != 0], hessian.T[hessian.T != 0]
         self._qp = QuadraticProgram.of_masks(
             hessian != 0,
             block != 0,
             {
                 "N": steps,
-                "nx": [0] + [STATES] * steps,
+                "nx": [0] + [states] * steps,
                 "nu": [inputs] * steps + [0],
                 "ng": [rows] * steps + [0],
             },
@@ -149,34 +159,35 @@ class RedundancyProgram:
         Raises:
             SolverError: The program was not solved.
         """
-        n, inputs = self._steps, self._inputs
-        blocks = np.zeros((n, STATES + self._rows, self._width))
-        blocks[:, :STATES, :STATES] = self._a
-        blocks[:, :STATES, STATES : STATES + COORDINATES] = self._b
-        blocks[:, STATES:, :STATES] = rows.by_x @ self._a
-        blocks[:, STATES:, STATES : STATES + COORDINATES] = rows.by_x @ self._b + rows.by_u
-        blocks[:, STATES:, STATES + COORDINATES :] = rows.slack[..., None] == np.arange(CLASSES)
+        n, inputs, d = self._steps, self._inputs, self._coordinates
+        states = 2 * d
+        blocks = np.zeros((n, states + self._rows, self._width))
+        blocks[:, :states, :states] = self._a
+        blocks[:, :states, states : states + d] = self._b
+        blocks[:, states:, :states] = rows.by_x @ self._a
+        blocks[:, states:, states : states + d] = rows.by_x @ self._b + rows.by_u
+        blocks[:, states:, states + d :] = rows.slack[..., None] == np.arange(CLASSES)
         source = np.concatenate([[0.0], blocks.ravel(), [-1.0]])
         diagonal = np.concatenate([cost.control_hessian, self._quadratic])
         hessian = np.concatenate([[0.0], diagonal, cost.hessian.ravel()])
         gradient, lower, upper = (np.empty((n, self._width)) for _ in range(3))
-        gradient[:, :COORDINATES] = cost.control_gradient
-        gradient[:, COORDINATES:inputs] = self._linear
+        gradient[:, :d] = cost.control_gradient
+        gradient[:, d:inputs] = self._linear
         gradient[:, inputs:] = cost.gradient
-        lower[:, :COORDINATES], upper[:, :COORDINATES] = cost.control_bounds
-        lower[:, COORDINATES:inputs], upper[:, COORDINATES:inputs] = 0.0, np.inf
+        lower[:, :d], upper[:, :d] = cost.control_bounds
+        lower[:, d:inputs], upper[:, d:inputs] = 0.0, np.inf
         lower[:, inputs:], upper[:, inputs:] = cost.state_bounds
-        low = np.concatenate([np.zeros((n, STATES)), -rows.value], axis=1)
-        high = np.concatenate([np.zeros((n, STATES)), np.full(rows.value.shape, np.inf)], axis=1)
+        low = np.concatenate([np.zeros((n, states)), -rows.value], axis=1)
+        high = np.concatenate([np.zeros((n, states)), np.full(rows.value.shape, np.inf)], axis=1)
         low = np.clip(low, -INFINITY, INFINITY)
         bounds = low.ravel(), high.ravel(), lower.ravel(), upper.ravel()
         found = self._qp.solve_entries(
             hessian[self._of_h], gradient.ravel(), source[self._of_a], bounds
         ).reshape(n, self._width)
         return ProgramSolution.unchecked(
-            controls=found[:, :COORDINATES],
+            controls=found[:, :d],
             states=found[:, inputs:],
-            slack=found[:, COORDINATES:inputs],
+            slack=found[:, d:inputs],
         )
 
 
@@ -189,11 +200,25 @@ class ReducedProgram:
     """
 
     def __init__(
-        self, steps: int, step: float, rows: int, linear: Array, quadratic: Array
+        self,
+        steps: int,
+        step: float,
+        rows: int,
+        linear: Array,
+        quadratic: Array,
+        coordinates: int = COORDINATES,
     ) -> None:
-        self._all = RedundancyProgram(steps, step, rows, linear, quadratic)
+        self._all = RedundancyProgram(steps, step, rows, linear, quadratic, coordinates)
         self._count = min(rows, CRITICAL)
-        self._critical = RedundancyProgram(steps, step, self._count, linear, quadratic)
+        self._critical = RedundancyProgram(
+            steps, step, self._count, linear, quadratic, coordinates
+        )
+        free = np.ones(coordinates - COORDINATES)
+        position, rate = RANKED_BY_X
+        self._ranked_by_x: Array = np.concatenate(
+            [position, RANKED_FREE[0] * free, rate, RANKED_FREE[1] * free]
+        )
+        self._ranked_by_u: Array = np.full(coordinates, RANKED_BY_U)
 
     def solve(self, rows: StageRows, cost: Quadratic) -> ProgramSolution:
         """Return the step that minimises a cost within bounds and rows.
@@ -201,7 +226,7 @@ class ReducedProgram:
         Raises:
             SolverError: The program was not solved.
         """
-        reach = np.abs(rows.by_x) @ RANKED_BY_X + np.abs(rows.by_u) @ RANKED_BY_U
+        reach = np.abs(rows.by_x) @ self._ranked_by_x + np.abs(rows.by_u) @ self._ranked_by_u
         order = np.argpartition(rows.value - reach, self._count - 1, axis=1)
         try:
             found = self._critical.solve(rows.selected(order[:, : self._count]), cost)

@@ -4,7 +4,8 @@ import math
 
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 
-PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
+#: Movement on the path within `BLOCKED` that counts as progress [m]: a robot that waits creeps
+PROGRESS = 0.001
 #: Time without progress after which the robot counts as waiting, and another way is searched for;
 #: least time between two searches [s].
 BLOCKED = 1.0
@@ -20,6 +21,7 @@ class ProgressWatch:
     def __init__(self, now: float) -> None:
         self.no_path: NoPathError | None = None
         self._place, self._moved_at, self._at = 0.0, now, now
+        self._placed_at = now
         self._held, self._was_held = 0.0, 0.0  # times for which a limit has held the robot [s]
         self._searched_at = -math.inf
 
@@ -41,9 +43,11 @@ class ProgressWatch:
         """
         elapsed, self._at = now - self._at, now
         if place > self._place + PROGRESS:
-            self._place, self._moved_at, self.no_path = place, now, None
+            self._moved_at, self.no_path = now, None
         elif is_excused:
             self._moved_at += elapsed
+        if place > self._place + PROGRESS or now - self._placed_at >= BLOCKED:
+            self._place, self._placed_at = max(place, self._place), now
         self._was_held, self._held = self._held, self._held + elapsed if is_held else 0.0
 
     def is_search_due(self, now: float, *, is_obstructed: bool) -> bool:

@@ -12,19 +12,23 @@ from collections.abc import Iterator
 import numpy as np
 
 from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.se2 import wrap
+from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.route.disc_reach import reached_by_disc
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.search import RouteSearch
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
+from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
 
 #: Gap of the route relative to that of a way of the platform: a route halves it between its nodes
@@ -69,8 +73,9 @@ class ToolGoalTask(WholeBodyTask):
                 raise
             self._tried_at = time
             now = self.controller.motion.sample(time)[0]
-            places = np.linspace(now[-1], max(now[-1] - RETREAT, 0.0), RETREAT_STEPS)
-            back = np.column_stack([self.way.at(places)[0], places])
+            place = float(now[PATH_PARAMETER])
+            places = np.linspace(place, max(place - RETREAT, 0.0), RETREAT_STEPS)
+            back = np.insert(self.way.at(places)[0], PATH_PARAMETER, places, axis=1)
             start, *before = self.redundancy.axes(np.vstack([now, back]))
             try:
                 self.detour = tool_goal_task(
@@ -103,7 +108,7 @@ def tool_goal_task(
     model = WholeBodyModel(setup.description.mount)
     tool = model.forward(np.vstack([start, axes]))
     straight = np.stack([tool[0], goal])
-    ends = path_search(setup, straight, start).ends(start[:3], around)
+    ends = path_search(setup, straight, start)[0].ends(start[:3], around)
     try:
         return ToolGoalTask(setup, straight, start, time, around)
     except NoPathError as error:
@@ -137,7 +142,11 @@ def _routes(
     corners = np.stack([start[:2], ends[0, :2]])
     (x_min, y_min), (x_max, y_max) = corners.min(axis=0) - ROOM, corners.max(axis=0) + ROOM
     workspace = x_min, y_min, x_max, y_max
+    top = platform_top(setup.description.robot, setup.description.mount.z)
+    beside = discs.select((discs.lower < top) & (discs.upper > 0.0))
+    inner = _inscribed_radius(footprint.platform)
     left = ends[Clearance(footprint, discs, workspace, margin + PIECE).gaps(ends) > margin]
+    left = left[reached_by_disc(start[:2], left[:, :2], inner, beside, workspace)]
     for _ in range(TRIES):
         if not len(left):
             return
@@ -151,6 +160,12 @@ def _routes(
             yield search.route.samples(footprint.radius)[1]
         turn = ROTATION_LENGTH * np.abs([wrap(angle) for angle in (left - end)[:, 2].tolist()])
         left = left[np.hypot(*(left - end)[:, :2].T) + turn > APART]
+
+
+def _inscribed_radius(platform: Rectangles) -> float:
+    """Return the radius of a disc around base_link within one of a platform's rectangles [m]."""
+    own = np.abs(np.stack(platform.own_centre, axis=-1))
+    return max(float((platform.half - own).min(axis=-1).max()), 0.0)
 
 
 def covering_discs(obstacles: UprightObstacles) -> Ellipses:

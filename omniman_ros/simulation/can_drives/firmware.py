@@ -46,12 +46,13 @@ class ReportFaults:
     def apply(self, message: can.Message, faults: DriveFaults) -> list[can.Message]:
         """Return the messages to send now in place of a report that is due."""
         delayed = self._delayed.pop(message.arbitration_id, None)
-        messages = [message]
-        if faults.reordered_reports:
-            if delayed is None:
-                self._delayed[message.arbitration_id] = message
-                return []
-            messages = [message, delayed]
+        if delayed is not None:
+            messages = [message, delayed] if faults.reordered_reports else [delayed, message]
+        elif faults.reordered_reports:
+            self._delayed[message.arbitration_id] = message
+            return []
+        else:
+            messages = [message]
         if faults.short_reports:
             messages = [_without_last_byte(report) for report in messages]
         if faults.duplicated_reports:

@@ -676,15 +676,6 @@ def test_setpoints_are_clipped_to_the_integers():
         assert struct.unpack("<Hib" if mode is VELOCITY else "<Hhb", frame)[1] == end
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_setpoint_that_is_not_finite_raises(bad):
-    bench = Bench().driving()
-    for demand in Demand:
-        for setpoint in (DriveSetpoint(VELOCITY, bad), DriveSetpoint(VELOCITY, 0.0, bad)):
-            with pytest.raises(ValueError, match="finite"):
-                bench.axis.tick(demand, setpoint, bench.now)
-
-
 @fixed
 @given(st.floats(-500, 500), st.sampled_from([1.0, 10.0, 4096.0, 65536.0]))
 def test_velocities_are_rounded_to_half_a_unit(value, scale):

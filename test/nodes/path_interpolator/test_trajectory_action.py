@@ -69,6 +69,9 @@ class FakeInterface:
         self.actual_state = np.zeros((2, 3))
         self.query_count = 0
 
+    def normalise(self, message: JointTrajectory) -> None:
+        pass
+
     def send(self, message: JointTrajectory) -> SimpleNamespace:
         if self.refusal:
             raise InputError(self.refusal)

@@ -9,7 +9,7 @@ from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.lattice import Lattice, LatticeFrame, Region
-from omniman_ros.planning.route.occupancy import HeadingOccupancy
+from omniman_ros.planning.route.occupancy import CROWDED, MAX_KINDS, HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
 from test.planning.support import ellipses
 
@@ -49,6 +49,13 @@ def inner_states(lattice, count=4000):
 CELLS = np.zeros((40, 50), dtype=bool)
 CELLS[18:20, 10:30] = True
 KNOWN = ellipses((1.0, 0.6, 0.4), (0.2, -0.5, 0.6, 0.15, 0.8))
+ON_QUARTERS = np.random.default_rng(5).integers(-80, 0, (2 * CROWDED, 2)) / 80.0
+ANYWHERE = np.random.default_rng(5).uniform(0.0, 1.5, (2 * MAX_KINDS, 2))
+
+
+def discs(centers):
+    """Return discs of one size, and another obstacle."""
+    return Ellipses.circles(0.0, centers, (0.0, 0.0), 0.03).joined(ellipses((2.0, 1.0, 0.3)))
 
 
 @pytest.mark.parametrize("footprint", [FOOTPRINT, WITH_ARM], ids=["platform", "with arm"])
@@ -58,6 +65,7 @@ KNOWN = ellipses((1.0, 0.6, 0.4), (0.2, -0.5, 0.6, 0.15, 0.8))
         (KNOWN, None, 0.0),
         (KNOWN, None, 0.7),
         (None, GridMap(CELLS, 0.05, np.array([-0.3, -0.4, 0.5])), 0.5),
+        (discs(ON_QUARTERS), None, 0.0),
     ],
 )
 def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, yaw, footprint):
@@ -72,6 +80,17 @@ def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, ya
         taken = (bit & np.uint64(1)).astype(bool)
         np.testing.assert_array_equal(taken[sure], gaps[sure] < threshold)
         assert 0.05 < taken.mean() < 0.95
+
+
+def test_many_discs_anywhere_are_marked_to_an_eighth_of_an_edge():
+    problem, lattice, marks = filled(discs(ANYWHERE), None, 0.3)
+    nodes, headings = inner_states(lattice)
+    poses = lattice.frame.odom(lattice.poses(nodes, headings))
+    gaps = Clearance(FOOTPRINT, problem.around, EDGE).gaps(poses)
+    sure = np.abs(gaps - problem.rooms.levels[0]) > math.hypot(0.05, 0.05) / 16.0
+    assert 0.9 < sure.mean() < 1.0
+    taken = marks.taken(nodes, headings)
+    np.testing.assert_array_equal(taken[sure], gaps[sure] < problem.rooms.levels[0])
 
 
 def test_heading_and_its_opposite_are_forbidden_together():

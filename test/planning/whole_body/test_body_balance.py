@@ -40,7 +40,7 @@ def test_a_posture_has_the_margin_of_the_model_of_its_support(redundancy):
         pushed = np.array([c * x + s * y, c * y - s * x, yaw])
         expected = support.margin(pushed, RATES[k, 2])
         assert found.margin[k].min() == pytest.approx(expected, abs=1e-9)
-        at_rest = balance.rest_margin(frames(redundancy, at.q)[k])
+        at_rest = balance.rest_margin(balance.arm_centres(frames(redundancy, at.q))[k])
         assert at_rest == pytest.approx(support.rest_margin, abs=1e-9)
 
 
@@ -68,7 +68,7 @@ def test_along_a_motion_the_arm_counts_as_it_moves(redundancy):
     times = 0.01 * np.arange(3)
     poses = 0.5 * np.outer(times**2, [0.8, -0.4, 0.0])
     still = np.tile(START, (3, 1))
-    carried = balance.margins(times, poses, frames(redundancy, still))[0]
+    carried = balance.margins(times, poses, balance.arm_centres(frames(redundancy, still)))[0]
     at = redundancy.configurations(np.zeros((1, 4)))
     pushed = np.array([[0.8, -0.4, 0.0, 0.0]])
     rows = balance.rows(at, np.zeros((1, 4)), pushed)
@@ -78,7 +78,10 @@ def test_along_a_motion_the_arm_counts_as_it_moves(redundancy):
         """Return the change of the margin while the shoulder accelerates [rad/s^2]."""
         arm = still.copy()
         arm[:, 4] += 0.5 * acceleration * times**2
-        return balance.margins(times, poses, frames(redundancy, arm))[0] - carried
+        return (
+            balance.margins(times, poses, balance.arm_centres(frames(redundancy, arm)))[0]
+            - carried
+        )
 
     up, down = thrown(-40.0), thrown(40.0)
     assert min(abs(up), abs(down)) > 0.02

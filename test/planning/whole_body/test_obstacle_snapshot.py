@@ -17,11 +17,11 @@ def test_what_moves_is_ahead_of_its_place_by_its_age_and_what_stands_stays():
         moving=MovingObstacles(walker, np.array([[0.5], [-1.0]])),
         growth=np.zeros(1),
     )
-    placed = around.placed(np.array([0.0, 2.0]))
+    placed = around.placed(np.array([0.0, 2.0]), np.array([[0, 1], [1, 0]]))
     assert placed.centre.shape == (2, 2, 2)
     assert placed.centre[:, 0] == pytest.approx(np.array([[-1.0, 1.0], [0.5, 2.0]]))
-    assert placed.centre[:, 1] == pytest.approx(np.array([[-1.0, 2.0], [0.5, 0.0]]))
-    assert placed.rounding == pytest.approx([0.1, 0.25])
+    assert placed.centre[:, 1] == pytest.approx(np.array([[2.0, -1.0], [0.0, 0.5]]))
+    assert placed.rounding == pytest.approx(np.array([[0.1, 0.25], [0.25, 0.1]]))
 
 
 def observed(velocity, noise, count):

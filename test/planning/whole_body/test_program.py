@@ -7,7 +7,6 @@ from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.program import (
     CRITICAL,
-    STATES,
     Quadratic,
     ReducedProgram,
     RedundancyProgram,
@@ -25,55 +24,57 @@ def task():
     return WholeBodyTask(SETUP, straight(0.6), START, 0.0, posts())
 
 
-def test_the_steps_of_a_program_obey_the_dynamics_exactly_and_its_rows():
-    n, rng = 6, np.random.default_rng(1)
-    program = RedundancyProgram(n, 0.1, 1, np.full(3, 1e3), np.full(3, 1e3))
-    by_x = np.zeros((n, 1, STATES))
+@pytest.mark.parametrize("d", [4, 7])
+def test_the_steps_of_a_program_obey_the_dynamics_exactly_and_its_rows(d):
+    n, rng, states = 6, np.random.default_rng(1), 2 * d
+    program = RedundancyProgram(n, 0.1, 1, np.full(3, 1e3), np.full(3, 1e3), d)
+    by_x = np.zeros((n, 1, states))
     by_x[:, 0, 0] = -1.0
     slack = np.zeros((n, 1), dtype=np.intp)
-    rows = StageRows(np.full((n, 1), 0.02), by_x, np.zeros((n, 1, 4)), slack)
-    wide = np.stack([np.full((n, 4), -5.0), np.full((n, 4), 5.0)])
+    rows = StageRows(np.full((n, 1), 0.02), by_x, np.zeros((n, 1, d)), slack)
+    wide = np.stack([np.full((n, d), -5.0), np.full((n, d), 5.0)])
     cost = Quadratic(
-        np.tile(np.eye(STATES), (n, 1, 1)),
-        np.tile([-1.0, *rng.normal(size=STATES - 1)], (n, 1)),
-        np.full(4, 1e-3),
-        np.zeros((n, 4)),
+        np.tile(np.eye(states), (n, 1, 1)),
+        np.tile([-1.0, *rng.normal(size=states - 1)], (n, 1)),
+        np.full(d, 1e-3),
+        np.zeros((n, d)),
         wide,
-        np.stack([np.full((n, STATES), -9.0), np.full((n, STATES), 9.0)]),
+        np.stack([np.full((n, states), -9.0), np.full((n, states), 9.0)]),
     )
     step = program.solve(rows, cost)
-    a, b = transition(0.1)
-    before = np.vstack([np.zeros(STATES), step.states[:-1]])
+    a, b = transition(0.1, d)
+    before = np.vstack([np.zeros(states), step.states[:-1]])
     assert step.states == pytest.approx(before @ a.T + step.controls @ b.T, abs=1e-6)
     assert step.states[:, 0].max() == pytest.approx(0.02, abs=1e-3)
     assert np.abs(step.controls).max() <= 5.0 + 1e-6
 
 
 @pytest.mark.parametrize("binding", [3, 20], ids=["few rows bind", "more bind than are chosen"])
-def test_a_reduced_program_has_the_solution_of_all_rows(binding, monkeypatch):
-    n, count, rng = 5, 40, np.random.default_rng(3)
-    weights = 0.1, count, np.full(3, 1e3), np.full(3, 1e3)
-    by_x = rng.normal(size=(n, count, STATES))
+@pytest.mark.parametrize("d", [4, 7])
+def test_a_reduced_program_has_the_solution_of_all_rows(d, binding, monkeypatch):
+    n, count, rng, states = 5, 40, np.random.default_rng(3), 2 * d
+    weights = 0.1, count, np.full(3, 1e3), np.full(3, 1e3), d
+    by_x = rng.normal(size=(n, count, states))
     value = np.full((n, count), 200.0)  # out of reach
     value[:, :binding] = rng.uniform(0.0, 0.01, (n, binding))
     order = rng.permuted(np.tile(np.arange(count), (n, 1)), axis=1)
     rows = StageRows(
-        value, by_x, rng.normal(size=(n, count, 4)), rng.integers(0, 3, (n, count))
+        value, by_x, rng.normal(size=(n, count, d)), rng.integers(0, 3, (n, count))
     ).selected(order)
     cost = Quadratic(
-        np.tile(np.eye(STATES), (n, 1, 1)),
-        rng.normal(size=(n, STATES)),
-        np.full(4, 1e-2),
-        rng.normal(size=(n, 4)),
-        np.stack([np.full((n, 4), -5.0), np.full((n, 4), 5.0)]),
-        np.stack([np.full((n, STATES), -9.0), np.full((n, STATES), 9.0)]),
+        np.tile(np.eye(states), (n, 1, 1)),
+        rng.normal(size=(n, states)),
+        np.full(d, 1e-2),
+        rng.normal(size=(n, d)),
+        np.stack([np.full((n, d), -5.0), np.full((n, d), 5.0)]),
+        np.stack([np.full((n, states), -9.0), np.full((n, states), 9.0)]),
     )
     reduced, whole = ReducedProgram(n, *weights), RedundancyProgram(n, *weights)
     calls, solve = [], reduced._all.solve
     monkeypatch.setattr(reduced._all, "solve", lambda *it: calls.append(it) or solve(*it))
     found, expected = reduced.solve(rows, cost), whole.solve(rows, cost)
-    assert found.states == pytest.approx(expected.states, abs=2e-4)
-    assert found.controls == pytest.approx(expected.controls, abs=2e-3)
+    assert found.states == pytest.approx(expected.states, abs=5e-4)
+    assert found.controls == pytest.approx(expected.controls, abs=6e-3)
     assert len(calls) == (binding > CRITICAL)
 
 

@@ -40,3 +40,12 @@ def test_a_limit_that_holds_the_robot_excuses_it_but_starts_one_search():
     times = [0.25 * k for k in range(1, 20)]
     assert searches(watch, times, is_held=True, is_excused=True) == [1.0]
     assert watch.waiting_time(times[-1]) == pytest.approx(0.0)
+
+
+def test_a_robot_that_creeps_waits_until_it_goes_on():
+    watch = ProgressWatch(0.0)
+    for k in range(200):
+        note(watch, 0.1 * k, place=5e-5 * k)
+    assert watch.waiting_time(19.9) == pytest.approx(19.9)
+    note(watch, 20.0, place=0.0125)
+    assert watch.waiting_time(20.0) == 0.0

@@ -64,31 +64,6 @@ def broken(drive, **faults):
 # --- frames against public documents ---
 
 
-def test_heartbeats_of_the_public_guide():
-    """Docs, can-guide.rst, candump: 001 [8] 00 00 00 00 01 00 00 00 from an idle axis 0, and
-    021 [8] 00 00 00 00 08 00 00 00 from axis 1 in closed loop."""
-    for node, state, data in ((0, IDLE, "0000000001000000"), (1, CLOSED_LOOP, "0000000008000000")):
-        drive = OdriveDrive(IdealMotor(), node, OdriveSettings(torque_constant=K))
-        drive.receive(frame(AXIS_STATE, "I", state, node=node), 0.0)
-        message = drive.advance(0.0)[0]
-        assert message.arbitration_id == (0x001, 0x021)[node]
-        assert (bytes(message.data), message.is_extended_id) == (bytes.fromhex(data), False)
-
-
-def test_vendors_example_turns_the_motor():
-    """ODriveResources, examples/can_watchdog.py: pack('<I', 8) to 0x07, 4 bytes, then
-    pack('<ff', 1.0, 0.0) to 0x0d, in velocity control; the heartbeat read as '<IBBB'."""
-    motor = IdealMotor()
-    drive = OdriveDrive(motor, 0, OdriveSettings(torque_constant=K))
-    state = can.Message(arbitration_id=0x07, is_extended_id=False, data=bytes([8, 0, 0, 0]))
-    assert drive.receive(state, 12.3) == []
-    error, axis_state, result, _ = struct.unpack("<IBBB", drive.advance(12.3)[0].data[:7])
-    assert (error, axis_state, result) == (0, 8, 0)
-    velocity = bytes.fromhex("0000803f00000000")
-    drive.receive(can.Message(arbitration_id=0x0D, is_extended_id=False, data=velocity), 12.31)
-    assert motor.order == ("velocity", pytest.approx(math.tau), 0.0)
-
-
 @pytest.fixture(scope="module")
 def dbc():
     return pytest.importorskip("odrive_can.utils").get_dbc("odrive-cansimple-0.6.10")
@@ -513,13 +488,6 @@ def test_grid_begins_with_the_first_call():
     assert heartbeat(drive)[0] == WATCHDOG
 
 
-def test_missed_reports_are_not_sent_later():
-    drive, _ = setup(heartbeat=0.0)
-    assert len(drive.advance(0.5049)) == 1
-    assert drive.advance(0.5099) == []
-    assert len(drive.advance(0.5101)) == 1
-
-
 # --- faults ---
 
 
@@ -614,27 +582,6 @@ def test_short_reports_lack_a_byte_the_heartbeat_does_not():
     assert {message.dlc for message in sent_as(sent, ENCODER)} == {7}
     assert {message.dlc for message in sent_as(sent, HEARTBEAT)} == {8}
     assert drive.receive(request(BUS), 0.2)[0].dlc == 7
-
-
-def test_duplicated_reports_come_twice():
-    drive, motor = setup()
-    broken(drive, duplicated_reports=True)
-    motor.velocity = 5.0
-    sent = sent_as(play(drive, motor, 0.0, 0.2), ENCODER)
-    assert len(sent) == 40
-    assert all(a.data == b.data for a, b in zip(sent[::2], sent[1::2], strict=True))
-
-
-def test_reordered_reports_come_in_pairs_the_later_first():
-    drive, motor = setup()
-    broken(drive, reordered_reports=True)
-    motor.velocity = 50.0
-    sent = sent_as(play(drive, motor, 0.0, 0.2), ENCODER)
-    seen = [struct.unpack("<ff", message.data)[0] for message in sent]
-    assert len(seen) == 20
-    pairs = list(zip(seen[::2], seen[1::2], strict=True))
-    assert all(later > earlier for later, earlier in pairs)
-    assert sorted(seen) == [p for later, earlier in pairs for p in (earlier, later)]
 
 
 def test_low_supply_disarms_and_is_reported():

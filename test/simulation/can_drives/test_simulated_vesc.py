@@ -52,14 +52,6 @@ def status_5(message):
 # --- commands ---
 
 
-def test_frame_of_the_public_documentation_is_51_amperes():
-    """documentation/comm_can.md of vedderb/bldc: 51 A on VESC 23 is id 0x0117, 00 00 C7 38."""
-    drive, motor = setup()
-    message = can.Message(arbitration_id=0x0117, is_extended_id=True, data=b"\x00\x00\xc7\x38")
-    assert drive.receive(message, 0.01) == []
-    assert motor.order == ("torque", pytest.approx(51.0 * K))
-
-
 @pytest.mark.parametrize(
     ("data", "duty"),
     [
@@ -267,18 +259,6 @@ def test_rates_are_configured_and_0_is_never():
     assert [len(ids(sent, command)) for command in (9, 16, 27)] == [50, 0, 100]
 
 
-def test_reports_stay_on_the_grid_and_missed_ones_are_not_made_up_for():
-    drive, _ = setup(status_4_rate=0.0, status_5_rate=0.0)
-    assert drive.advance(0.0049) == []
-    assert len(drive.advance(0.0051)) == 1
-    assert len(drive.advance(0.0999)) == 1  # 18 missed
-    assert drive.advance(0.09995) == []
-    assert len(drive.advance(0.1001)) == 1
-    assert len(drive.advance(1e6 + 0.0001)) == 1
-    assert drive.advance(1e6 + 0.0049) == []
-    assert len(drive.advance(1e6 + 0.0051)) == 1
-
-
 def test_grid_begins_with_the_first_call():
     motor = IdealMotor()
     drive = VescDrive(
@@ -295,14 +275,6 @@ def test_grid_begins_with_the_first_call():
     assert motor.order == ("released",)
     drive.advance(1000.504)  # the timeout runs from the first call, too
     assert motor.order == ("voltage", 0.0)
-
-
-def test_rounding_of_the_time_costs_no_report():
-    drive, _ = setup(status_4_rate=0.0, status_5_rate=0.0)
-    now = 0.0
-    for _ in range(10_000):
-        now += 0.005
-        assert len(drive.advance(now)) == 1
 
 
 def test_values_of_the_status_frames():
@@ -494,25 +466,6 @@ def test_short_reports_lack_a_byte():
     short = play(drive, motor, 0.1, 0.2)
     assert [len(m.data) for _, m in short] == [7] * len(good)
     assert all(m.dlc == 7 for _, m in short)
-
-
-def test_duplicated_reports_come_twice():
-    drive, motor = setup(status_4_rate=0.0, status_5_rate=0.0)
-    broken(drive, duplicated_reports=True)
-    motor.velocity = 10.0
-    sent = play(drive, motor, 0.0, 0.1)
-    assert len(sent) == 40
-    assert all(a[1].data == b[1].data for a, b in zip(sent[::2], sent[1::2], strict=True))
-
-
-def test_reordered_reports_come_in_pairs_the_later_first():
-    drive, motor = setup(status_1_rate=0.0, status_4_rate=0.0, tachometer=0)
-    broken(drive, reordered_reports=True)
-    motor.velocity = 100.0
-    seen = [status_5(m)[0] for _, m in play(drive, motor, 0.0, 0.1)]
-    assert len(seen) == 20
-    assert sorted(seen) == [b for pair in zip(seen[1::2], seen[::2], strict=True) for b in pair]
-    assert seen != sorted(seen)
 
 
 def test_restarting_drive_neither_sends_nor_receives_and_loses_its_state():

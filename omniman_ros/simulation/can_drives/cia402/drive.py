@@ -20,6 +20,7 @@ from omniman_ros.simulation.can_drives.cia402.axis import Cia402Settings, PowerD
 from omniman_ros.simulation.can_drives.cia402.errors import PDO_LONG, PDO_SHORT, Errors
 from omniman_ros.simulation.can_drives.cia402.objects import ALL, Key, Value, dictionary
 from omniman_ros.simulation.can_drives.cia402.pdo import EVENT, INVALID_VALUE, Pdo, all_pdos
+from omniman_ros.simulation.can_drives.firmware import ReportFaults
 from omniman_ros.simulation.can_drives.motor import DriveFaults, DriveMotor
 
 __all__ = ["Cia402Drive", "Cia402Settings"]
@@ -113,7 +114,7 @@ class Cia402Drive:
         #: Power stage and motion of the drive
         self.axis = PowerDrive(motor, self._settings, self._values, self._errors)
         self._received, self._transmitted = all_pdos(node, self._values, self._variables)
-        self._delayed: dict[int, can.Message] = {}
+        self._report_faults = ReportFaults()
         self._now = -math.inf
         self.nmt = BOOTING  #: State of the node, as in its heartbeat
         self._boot_due: float | None = None
@@ -141,7 +142,7 @@ class Cia402Drive:
         self._restore(communication_only=False)
         self.axis.restart_count()
         self._network.frames.clear()
-        self._delayed.clear()
+        self._report_faults = ReportFaults()
         self.nmt, self._boot_due = BOOTING, now + self._settings.boot_time
 
     def _boot_up(self) -> None:
@@ -381,24 +382,8 @@ class Cia402Drive:
         frames, self._network.frames = self._network.frames, []
         result: list[can.Message] = []
         for message, pdo in frames:
-            result += [message] if pdo is None else self._with_faults(message)
+            result += [message] if pdo is None else self._report_faults.apply(message, self.faults)
         return [] if self.faults.silent else result
-
-    def _with_faults(self, message: can.Message) -> list[can.Message]:
-        """Return the messages to send for a report, to which the report faults are applied."""
-        faults, number = self.faults, message.arbitration_id
-        if faults.short_reports:
-            message = can.Message(
-                arbitration_id=number, data=message.data[:-1], is_extended_id=False
-            )
-        result = [message] * (2 if faults.duplicated_reports else 1)
-        if not faults.reordered_reports:
-            delayed = self._delayed.pop(number, None)
-            return result if delayed is None else [delayed, *result]
-        if number not in self._delayed:
-            self._delayed[number] = message
-            return result[1:]
-        return [*result, self._delayed.pop(number)]
 
 
 def _variables(objects: od.ObjectDictionary) -> dict[Key, od.ODVariable]:

@@ -1,1 +1,1 @@
-"""An interpreter of URScript."""
+"""URScript, translated to Python and executed in the cycles of a controller."""

@@ -1,7 +1,7 @@
 """Functions of the controller that a program can call (URScript manual, CB3, by module).
 
 The first parameter of each is the context of the program; the names and defaults of the others
-are the manual's. A function that suspends its thread returns a Wait. Tool space is not simulated:
+are the manual's. A function whose caller has to wait returns a Wait. Tool space is not simulated:
 `stopl` decelerates the joints with its number in rad/s^2, and functions that require kinematics
 are missing.
 """
@@ -161,17 +161,16 @@ def write(kind: str, convert: Callable[[Value], float]) -> Callable[[Context, Va
     return apply
 
 
-SUSPENDING: dict[str, Callable[..., object]] = {
-    function.__name__: function
-    for function in (servoj, speedj, stopj, stopl, movej, sync, sleep, popup)
-}  #: Functions of this module that may return a Wait, by name
-
 FUNCTIONS: dict[str, Callable[..., object]] = {
-    **{function.__name__: function for function in (is_steady, get_steptime, textmsg, random)},
-    **SUSPENDING,
+    **{
+        function.__name__: function
+        for function in (
+            *(servoj, speedj, stopj, stopl, movej, is_steady),
+            *(sync, sleep, get_steptime, textmsg, popup, random),
+        )
+    },
     **calculations.FUNCTIONS,
     **sockets.FUNCTIONS,
-    **sockets.SUSPENDING,
     **dict.fromkeys(WITHOUT_EFFECT, lambda context, *values, **named: None),
     "get_joint_positions": reading("actual_q"),
     "get_actual_joint_positions": reading("actual_q"),
@@ -185,6 +184,3 @@ FUNCTIONS: dict[str, Callable[..., object]] = {
     "write_output_float_register": write("double", lambda value: number(value, "value")),
     "write_output_boolean_register": write("bool", truth),
 }  #: All functions of the controller, by name
-
-#: Names of all functions that may return a Wait
-SUSPENDING_FUNCTIONS = frozenset({*SUSPENDING, *sockets.SUSPENDING})

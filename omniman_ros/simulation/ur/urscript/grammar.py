@@ -10,7 +10,11 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
 from omniman_ros.simulation.ur.urscript.errors import ScriptError
-from omniman_ros.simulation.ur.urscript.syntax import MAX_NESTING, nested_too_deeply
+
+#: Largest number of definitions, blocks and expressions within each other.
+#:
+#: It keeps Python's stack shallow where a program is translated.
+MAX_NESTING = 40
 
 KEYWORDS = (
     *("and", "or", "xor", "not", "True", "False"),
@@ -116,7 +120,7 @@ class _LineJoiner:
 def _limit_nesting(stream: Iterator[Token]) -> Iterator[Token]:
     """Yield the tokens of a program up to where they nest too deeply.
 
-    The compiler counts exactly, but only what has been parsed, and a parser that reads 100,000
+    The translation counts exactly, but only what has been parsed, and a parser that reads 100,000
     brackets takes seconds.
 
     Raises:
@@ -127,7 +131,7 @@ def _limit_nesting(stream: Iterator[Token]) -> Iterator[Token]:
         depth += NESTING.get(token.type, 0)
         prefixes = prefixes + 1 if token.type in PREFIXES else 0
         if depth + prefixes > MAX_NESTING:
-            raise nested_too_deeply(token.line)
+            raise nested_too_deeply(int(token.line or 1))
         yield token
 
 
@@ -186,6 +190,11 @@ def parse(text: str) -> Tree:
         line = lines.count("\n") + 1 if error.token.type == "$END" else error.token.line
         found = SYMBOLS.get(error.token.type, f"'{error.token}'")
         raise ScriptError(line or 1, f"unexpected {found}") from None
+
+
+def nested_too_deeply(line: int) -> ScriptError:
+    """Return the error of a line where a program nests more than MAX_NESTING deep."""
+    return ScriptError(line, f"nested more than {MAX_NESTING} deep")
 
 
 def _complaint(character: str) -> str:

@@ -2,25 +2,13 @@
 
 from collections.abc import Callable
 from random import Random
-from typing import Any
 
 from omniman_ros.core.errors import OmnimanError
-from omniman_ros.simulation.ur.urscript.compiler import Program
-from omniman_ros.simulation.ur.urscript.context import PENDING, Context, Wait
+from omniman_ros.simulation.ur.urscript.compiler import Program, Run, line_of_error
+from omniman_ros.simulation.ur.urscript.context import PENDING, Context, Variables, Wait
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
-from omniman_ros.simulation.ur.urscript.execution import (
-    Call,
-    Function,
-    Halt,
-    Join,
-    Kill,
-    Request,
-    StackFrame,
-    Start,
-    Thread,
-)
 from omniman_ros.simulation.ur.urscript.host import Host
-from omniman_ros.simulation.ur.urscript.values import Value
+from omniman_ros.simulation.ur.urscript.values import Value, to_str
 
 #: Largest number of statements and calls of a thread in a cycle; above it, its loop is endless.
 #:
@@ -29,6 +17,60 @@ from omniman_ros.simulation.ur.urscript.values import Value
 MAX_STATEMENTS = 10_000
 MAX_CALL_DEPTH = 200  #: Largest depth of calls within calls
 MAX_THREADS = 64  #: Largest number of threads at once, and of those started in a cycle
+
+ENDED = Wait(lambda: PENDING, takes_time=False)  #: Wait of a thread that has ended itself
+
+
+class Thread:
+    """A thread of a program, as its translated code sees it."""
+
+    def __init__(self, machine: "Machine", handle: int, function: Callable[..., Run]) -> None:
+        self.handle = handle  #: What `run` returned; 0 for the main thread
+        self.context = machine.context  #: What the functions of the controller work on
+        self.budget = machine.max_statements  #: What it may still execute in this cycle
+        self.wait = Wait(lambda: None)  #: What it waits for; at first, for its turn
+        own = Variables({}, machine.variables) if handle else machine.variables
+        self.run = function(self, own, 1)  #: Its execution
+        self._machine = machine
+
+    def charge(self) -> None:
+        """Count a statement or call; beyond the budget, this raises a ScriptRuntimeError."""
+        self.budget -= 1
+        if self.budget < 0:
+            raise ScriptRuntimeError("infinite loop")
+
+    def enter(self, depth: int, name: str) -> int:
+        """Count a call of a function at a depth, and return the depth in the function.
+
+        Calls are counted, too, since they can follow each other without end, or multiply, in
+        defaults and expressions alone.
+        """
+        if depth > MAX_CALL_DEPTH:
+            raise ScriptRuntimeError(
+                f"calls are nested more than {MAX_CALL_DEPTH} deep at '{name}'"
+            )
+        self.charge()
+        return depth + 1
+
+    def start(self, function: Callable[..., Run]) -> int:
+        """Start a thread, and return its handle."""
+        return self._machine.start(function)
+
+    def kill(self, handle: Value) -> Wait | None:
+        """End a thread; this has no effect if it has ended."""
+        threads = self._machine.threads
+        threads.pop(_other(handle), None)
+        return None if self.handle in threads else ENDED
+
+    def join(self, handle: Value) -> Wait:
+        """Wait until a thread has ended."""
+        threads, other = self._machine.threads, _other(handle)
+        return Wait(lambda: PENDING if other in threads else None, takes_time=False)
+
+    def halt(self) -> Wait:
+        """End the program."""
+        self._machine.stop("halt")
+        return ENDED
 
 
 class Machine:
@@ -47,16 +89,15 @@ class Machine:
         seed: int = 0,
     ) -> None:
         self.end_reason = ""
-        self.variables: dict[str, Value] = {}  #: Global variables
-        self._context = Context(host, Random(seed))
-        self._max_statements = max_statements
+        self.variables = Variables({})  #: Global variables
+        self.context = Context(host, Random(seed))  #: What the controller's functions work on
+        self.max_statements = max_statements  #: Budget of each thread in a cycle
         self._takes_no_time = program.secondary
-        self._threads: dict[int, Thread] = {}  # in the order in which they started
         self._last_handle = 0
         self._started = 0  # in this cycle
-        self._main = Thread(0)
-        self._threads[0] = self._main
-        self._push(self._main, program.main, self.variables)
+        self._main = Thread(self, 0, program.main)
+        #: Threads by handle, in the order in which they started
+        self.threads: dict[int, Thread] = {0: self._main}
 
     @property
     def running(self) -> bool:
@@ -70,131 +111,73 @@ class Machine:
         continue in the cycle in which the other one ends.
         """
         self._started = 0
-        for thread in self._threads.values():
-            thread.budget = self._max_statements
-        ready = list(self._threads.values())
+        for thread in self.threads.values():
+            thread.budget = self.max_statements
+        ready = list(self.threads.values())
         while ready and self.running:
-            known_handles = set(self._threads)
+            known_handles = set(self.threads)
             # Threads that gave up their time slice are out; a join may be over in a later round.
             again = [thread for thread in ready if not self._advance(thread)]
             started = [
-                thread for thread in self._threads.values() if thread.handle not in known_handles
+                thread for thread in self.threads.values() if thread.handle not in known_handles
             ]
             if len(again) == len(ready) and not started:
                 break
-            ready = [thread for thread in again if thread.calls] + started
+            ready = again + started
 
     def close_popups(self) -> None:
         """Close all messages, as the person at the pendant does; calls that wait then return."""
-        self._context.popups_closed += 1
+        self.context.popups_closed += 1
 
     def stop(self, reason: str) -> None:
         """End the program and its threads, and close its sockets, unless it has ended."""
         if not self.running:
             return
         self.end_reason = reason
-        for thread in self._threads.values():
-            thread.calls = []
-        self._threads.clear()
-        for name in sorted(self._context.sockets):
-            self._context.host.socket_close(name)
-        self._context.sockets.clear()
+        self.threads.clear()
+        for name in sorted(self.context.sockets):
+            self.context.host.socket_close(name)
+        self.context.sockets.clear()
 
-    def _push(self, thread: Thread, function: Function, variables: dict[str, Value]) -> None:
-        frame = StackFrame(variables, self.variables, thread, self._context)
-        thread.calls.append(function.execute(frame))
-
-    def _advance(self, thread: Thread) -> bool:
-        """Let a thread run, and return whether it gave up its time slice or ended."""
-        if not thread.calls:
-            return True
-        try:
-            if not self._has_waited(thread):
-                return thread.wait is not None and thread.wait.takes_time
-            self._execute(thread)
-        except OmnimanError as error:
-            self.stop(f"runtime error line {thread.line}: {error}")
-            return True
-        if not thread.calls:
-            self._threads.pop(thread.handle, None)
-            if thread is self._main:
-                self.stop("completed")
-            return True
-        return thread.wait is None or thread.wait.takes_time
-
-    def _has_waited(self, thread: Thread) -> bool:
-        if thread.wait is not None:
-            value = thread.wait.poll()
-            if value is PENDING:
-                return False
-            thread.wait = None
-            thread.answer = value
-        return True
-
-    def _execute(self, thread: Thread) -> None:
-        """Execute a thread until it waits or ends."""
-        while thread.calls and thread.wait is None:
-            answer, thread.answer = thread.answer, None
-            try:
-                request = thread.calls[-1].send(answer)
-            except StopIteration as end:
-                if thread.calls:
-                    thread.calls.pop()
-                thread.answer = end.value
-            else:
-                self._serve(thread, request)
-
-    def _serve(self, thread: Thread, request: Request) -> None:
-        if isinstance(request, Wait):
-            if self._takes_no_time and request.takes_time:
-                raise ScriptRuntimeError("a secondary program cannot take time")
-            thread.wait = request
-        else:
-            SERVED[type(request)](self, thread, request)
-
-    def _call(self, thread: Thread, request: Call) -> None:
-        if len(thread.calls) > MAX_CALL_DEPTH:
-            name = request.function.name
-            raise ScriptRuntimeError(
-                f"calls are nested more than {MAX_CALL_DEPTH} deep at '{name}'"
-            )
-        self._push(thread, request.function, request.arguments)
-
-    def _start(self, thread: Thread, request: Start) -> None:
+    def start(self, function: Callable[..., Run]) -> int:
+        """Start a thread, and return its handle; too many raise a ScriptRuntimeError."""
         self._started += 1
-        if max(len(self._threads), self._started) >= MAX_THREADS:
+        if max(len(self.threads), self._started) >= MAX_THREADS:
             raise ScriptRuntimeError(
                 f"more than {MAX_THREADS} threads at once, or started in one cycle"
             )
         self._last_handle += 1
-        started = Thread(self._last_handle, budget=self._max_statements)
-        self._push(started, request.function, {})
-        self._threads[started.handle] = started
-        thread.answer = started.handle
+        self.threads[self._last_handle] = Thread(self, self._last_handle, function)
+        return self._last_handle
 
-    def _kill(self, thread: Thread, request: Kill) -> None:
-        if self._is_alive(request.handle):
-            self._threads.pop(request.handle).calls = []
+    def _advance(self, thread: Thread) -> bool:
+        """Let a thread run, and return whether it gave up its time slice or ended."""
+        if thread.handle not in self.threads:
+            return True
+        try:
+            answer = thread.wait.poll()
+            while answer is not PENDING:
+                thread.wait = thread.run.send(answer)
+                if self._takes_no_time and thread.wait.takes_time:
+                    raise ScriptRuntimeError("a secondary program cannot take time")
+                answer = PENDING if thread.wait.takes_time else thread.wait.poll()
+        except StopIteration:
+            self.threads.pop(thread.handle, None)
+            if thread is self._main:
+                self.stop("completed")
+            return True
+        except OmnimanError as error:
+            self.stop(f"runtime error line {line_of_error(error, thread.run)}: {error}")
+            return True
+        return thread.handle not in self.threads or thread.wait.takes_time
 
-    def _join(self, thread: Thread, request: Join) -> None:
-        handle = request.handle
-        if self._is_alive(handle):
-            thread.wait = Wait(
-                lambda: PENDING if self._is_alive(handle) else None, takes_time=False
-            )
 
-    def _halt(self, thread: Thread, request: Halt) -> None:
-        self.stop("halt")
+def _other(handle: Value) -> int:
+    """Return the handle of a thread other than the main one, or 0 as -1.
 
-    def _is_alive(self, handle: int) -> bool:
-        """Return whether there is a thread of that handle other than the main one, 0."""
-        return handle in self._threads and handle != 0
-
-
-SERVED: dict[type, Callable[[Machine, Thread, Any], None]] = {
-    Call: Machine._call,
-    Start: Machine._start,
-    Kill: Machine._kill,
-    Join: Machine._join,
-    Halt: Machine._halt,
-}
+    Raises:
+        ScriptRuntimeError: The value is no handle; those of no thread, as 0, are handles too.
+    """
+    if type(handle) is not int:
+        raise ScriptRuntimeError(f"{to_str(handle)} is no thread")
+    return handle or -1

@@ -209,22 +209,15 @@ def send(context: Context, socket_name: Value, data: bytes) -> bool:
     return context.host.socket_send(text(socket_name, "socket_name"), data)
 
 
-SUSPENDING: dict[str, Callable[..., object]] = {
-    "socket_read_ascii_float": socket_read_ascii_float,
+FUNCTIONS: dict[str, Callable[..., object]] = {
     "socket_read_binary_integer": binary("i"),
     "socket_read_byte_list": binary("B"),
-    "socket_read_line": socket_read_line,
-    "socket_read_string": socket_read_string,
-}  #: Functions that may return a Wait, by name
-
-FUNCTIONS: dict[str, Callable[..., object]] = {
-    each.__name__: each
-    for each in (
-        socket_open,
-        socket_close,
-        socket_send_int,
-        socket_send_byte,
-        socket_send_string,
-        socket_send_line,
-    )
-}  #: The other functions, by name
+    **{
+        function.__name__: function
+        for function in (
+            *(socket_open, socket_close),
+            *(socket_read_ascii_float, socket_read_line, socket_read_string),
+            *(socket_send_int, socket_send_byte, socket_send_string, socket_send_line),
+        )
+    },
+}  #: Functions of this module, by name

@@ -5,12 +5,14 @@ from unittest.mock import Mock
 
 import pytest
 
+from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.simulation.ur.urscript import grammar
 from omniman_ros.simulation.ur.urscript.compiler import Program
 from omniman_ros.simulation.ur.urscript.machine import MAX_STATEMENTS
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.reverse_interface import ProgramMode
 from omniman_ros.ur.servo_program import servo_program
+from omniman_ros.ur.streaming_supervisor import joint_limits
 from test.simulation.ur.urscript.driver_script import DRIVER
 from test.simulation.ur.urscript.scripted_host import Bench
 from test.work import calls
@@ -95,7 +97,9 @@ def test_a_driver_that_is_told_to_stop_ends():
 
 def omniman_program():
     """The program that this package uploads."""
-    return servo_program(UrParameters(), "10.0.0.2", 50001)
+    return servo_program(
+        UrParameters(), joint_limits(ArmParameters(), UrParameters()), "10.0.0.2", 50001
+    )
 
 
 def test_all_setpoints_of_1_6_s_are_read_in_the_cycle_in_which_they_came():

@@ -39,6 +39,7 @@ FUZZES = 100
         ("a", 1, "neither a call nor an assignment"),
         ("f()[0]", 1, "neither a call nor an assignment"),
         ("x = 1\nbreak", 2, "break outside a loop"),
+        ("while x:\nend\nbreak", 3, "break outside a loop"),
         ("while True:\n  def f():\n    continue\n  end\nend", 3, "continue outside a loop"),
         ("def f(a, a):\nend\nf(1)", 1, "parameter 'a' stands there twice"),
         ("thread t(a):\nend\nrun t(1)", 1, "cannot have parameters"),
@@ -65,6 +66,7 @@ FUZZES = 100
         ("a = " + "(" * 3000 + "1" + ")" * 3000, 1, "nested more than"),
         ("a = " + "(1 or 1 xor 1 and 1 == 1 + 1 * " * 38 + "1" + ")" * 38, 1, "nested more than"),
         ("def f():\n" * 20 + "if True:\n" * 20 + "end\n" * 40, 40, "nested more than"),
+        ("while True:\n" * 21 + "end\n" * 21, 21, "loops are nested more than 20 deep"),
     ],
 )
 def test_what_is_no_program_is_refused_with_its_line(text, line, reason):
@@ -92,6 +94,7 @@ def test_what_is_nested_less_deep_is_a_program():
         "a = " + "(" * 37 + "1" + ")" * 37,
         "a = " + "(1 + " * 18 + "1" + ")" * 18,
         "if True:\n" * 38 + "a = 1\n" + "end\n" * 38,
+        "while True:\n" * 20 + "return 1\n" + "end\n" * 20,
         "def f():\n" * 38 + "a = 1\n" + "end\n" * 38 + "f()",
     ):
         assert Bench(text).step().end == "completed"
@@ -184,6 +187,13 @@ def test_calls_without_a_statement_are_counted():
     chain = [f"def f{k}(a = f{k + 1}() == f{k + 1}()):\nend" for k in range(40)]
     text = "\n".join([*chain, "def f40():\nend", "f0()"])
     assert Bench(text, max_statements=3000).step().end.endswith(": infinite loop")
+
+
+def test_a_wait_that_fails_is_a_runtime_error_of_the_line_that_waits():
+    text = 'socket_open("h", 1, "s")\ndef f():\n  socket_read_line("s", 0)\nend\na = 1 + f()\n'
+    bench = Bench(text).step()
+    bench.host.received["s"] = b"x" * 4097 + b"\n"
+    assert bench.step().end == "runtime error line 3: a string has more than 4096 characters"
 
 
 def test_what_the_controller_refuses_is_a_runtime_error():

@@ -110,7 +110,7 @@ def test_brackets_carry_an_expression_over_lines():
 def test_an_operator_carries_an_expression_over_lines():
     text = "if 1 == 2 or # this\n\n  2 == 2 or\n  3 == 4:\n  a = 1 +\n 1\nend"
     assert ran(text).machine.variables == {"a": 2}
-    assert fault_of("a = 1 +\n2 /\n0")[0] == 2
+    assert fault_of('a = 1 +\n2 -\n"x"')[0] == 2
 
 
 def test_labels_annotations_and_comments_are_no_statements():
@@ -266,6 +266,11 @@ def prog():
 end
 """
     assert ran(text).machine.variables == {"a": 1, "b": 2}
+
+
+def test_an_element_of_a_global_list_is_assigned_in_a_function():
+    text = "a = [1, 2]\ndef f():\n  a[0] = 5\nend\nf()"
+    assert ran(text).machine.variables == {"a": (5, 2)}
 
 
 def test_an_unknown_variable_of_a_function_is_its_own():

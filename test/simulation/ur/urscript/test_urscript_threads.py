@@ -303,9 +303,3 @@ def test_a_wait_may_stand_in_the_middle_of_an_expression():
     bench = Bench(text).step(2)
     assert bench.machine.running
     assert bench.step().machine.variables == {"a": (1, 5, 4)}
-
-
-@pytest.mark.parametrize("statement", ["join 0", "kill 0", "sync()", "sin(1)", "enter_critical"])
-def test_statements_leave_no_operands_behind(statement):
-    text = f"def f():\n  {statement}\n  return 2\nend\na = 1 + f()"
-    assert ran(text, 2).machine.variables == {"a": 3}
