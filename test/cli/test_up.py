@@ -27,7 +27,7 @@ from test.tiers import exhaustive
 pytestmark = pytest.mark.processes
 
 SPEED = 0.3
-TICK = 0.005  #: Period of the controller, by which its stamps may be late [s]
+LATE = 0.02  #: Time by which stamps of the controller may be late: some of its ticks [s]
 DECELERATION = 1.2  #: limits.linear_deceleration of the default robot [m/s^2]
 NODES = ("platform_controller", "simulated_drive")
 ONLY_NODES = ("--only", *NODES)
@@ -146,7 +146,7 @@ def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
     drops = [before - after for before, after in pairwise(rows)]
     times = [after - before for before, after in pairwise(probe.stamps)]
     cut_off = [
-        drop for drop, time in zip(drops, times, strict=True) if drop > largest * (time + TICK)
+        drop for drop, time in zip(drops, times, strict=True) if drop > largest * (time + LATE)
     ]
     assert not cut_off, "the wheels were cut off rather than ramped down"
 

@@ -61,6 +61,7 @@ CLUTTER_RUN = clutter.ClutterRun(0, True, (), 5.0, 2.45, (0.01, 0.02))
 CROWD_RUN = crowd.CrowdRun(60.0, 5, 0, 1, (0.025, 0.025))
 DODGED = {"kind": "posts", "seed": 0, "completed": True, "stop": "", "contact": False}
 DODGED |= {"contact_at_rest": False, "least_gap_mm": 50.0, "time_ratio": 1.3, "search_s": 1.0}
+DODGED |= {"least_ratio": 1.2}
 DODGED |= {"tool_rms_mm": 1.0, "tool_max_mm": 3.0, "cycle_times": [0.01, 0.01, 0.02]}
 PROMISED, DEMANDING = (
     ("groups", group, whole_body_obstacles.AVOIDS) for group in whole_body_obstacles.GROUPS

@@ -55,7 +55,7 @@ def test_the_robot_has_room_at_the_start_and_none_on_its_way_as_it_is(length):
 
 
 def test_the_picture_shows_each_thing_where_it_is_nearest(tmp_path):
-    figures = pytest.importorskip("omniman_ros.lab.figures")
+    figures = pytest.importorskip("omniman_ros.lab.body_figures")
     scene = scene_of(GENERATOR, dodge.QUICK_LENGTH)
     count = round(1.0 / 0.025)
     gaps = np.full((count, len(scene.things)), 0.5)
