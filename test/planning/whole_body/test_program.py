@@ -50,8 +50,9 @@ def test_the_steps_of_a_program_obey_the_dynamics_exactly_and_its_rows(d):
 
 
 @pytest.mark.parametrize("binding", [3, 20], ids=["few rows bind", "more bind than are chosen"])
-@pytest.mark.parametrize("d", [4, 7])
-def test_a_reduced_program_has_the_solution_of_all_rows(d, binding, monkeypatch):
+# The solver leaves larger errors where the program has more unknowns.
+@pytest.mark.parametrize(("d", "error"), [(4, (2e-4, 2e-3)), (7, (5e-4, 6e-3))])
+def test_a_reduced_program_has_the_solution_of_all_rows(d, error, binding, monkeypatch):
     n, count, rng, states = 5, 40, np.random.default_rng(3), 2 * d
     weights = 0.1, count, np.full(3, 1e3), np.full(3, 1e3), d
     by_x = rng.normal(size=(n, count, states))
@@ -73,8 +74,8 @@ def test_a_reduced_program_has_the_solution_of_all_rows(d, binding, monkeypatch)
     calls, solve = [], reduced._all.solve
     monkeypatch.setattr(reduced._all, "solve", lambda *it: calls.append(it) or solve(*it))
     found, expected = reduced.solve(rows, cost), whole.solve(rows, cost)
-    assert found.states == pytest.approx(expected.states, abs=5e-4)
-    assert found.controls == pytest.approx(expected.controls, abs=6e-3)
+    assert found.states == pytest.approx(expected.states, abs=error[0])
+    assert found.controls == pytest.approx(expected.controls, abs=error[1])
     assert len(calls) == (binding > CRITICAL)
 
 
