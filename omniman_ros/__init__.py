@@ -94,8 +94,6 @@ if TYPE_CHECKING:
     from omniman_ros.planning.goals import StateGoal as StateGoal
     from omniman_ros.planning.goals import TrajectoryGoal as TrajectoryGoal
     from omniman_ros.planning.motion import HermiteTrajectory as HermiteTrajectory
-    from omniman_ros.planning.obstacles.ellipses import Ellipses as Ellipses
-    from omniman_ros.planning.obstacles.grid_map import GridMap as GridMap
     from omniman_ros.planning.planner import Planner as Planner
     from omniman_ros.planning.whole_body.joint_goal import JointGoalTask as JointGoalTask
     from omniman_ros.planning.whole_body.obstacle_snapshot import (
@@ -121,6 +119,8 @@ if TYPE_CHECKING:
     from omniman_ros.simulation.world.scene import Table as Table
     from omniman_ros.simulation.world.scene import Wall as Wall
     from omniman_ros.simulation.world.world import World as World
+    from omniman_ros.surroundings.ellipses import Ellipses as Ellipses
+    from omniman_ros.surroundings.grid_map import GridMap as GridMap
 
 #: Modules of the public names, within the package; the imports above are for type checkers
 _PUBLIC = {
@@ -156,8 +156,8 @@ _PUBLIC = {
     "planning.cycle": ("MeasuredState",),
     "planning.goals": ("PoseGoal", "StateGoal", "TrajectoryGoal"),
     "planning.motion": ("HermiteTrajectory",),
-    "planning.obstacles.ellipses": ("Ellipses",),
-    "planning.obstacles.grid_map": ("GridMap",),
+    "surroundings.ellipses": ("Ellipses",),
+    "surroundings.grid_map": ("GridMap",),
     "planning.planner": ("Planner",),
     "planning.whole_body.joint_goal": ("JointGoalTask",),
     "planning.whole_body.obstacle_snapshot": ("ObstacleSnapshot",),

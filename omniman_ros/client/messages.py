@@ -219,6 +219,7 @@ class RoundObstacle:
         marker.scale = Vector3(
             x=2.0 * self._radius, y=2.0 * self._radius
         )  # no height: from the floor upwards
+        marker.points = [Point(x=self._vx, y=self._vy)]  # so that nobody has to estimate it
         marker.lifetime = duration_message(OBSTACLE_LIFETIME)
         marker.color.r, marker.color.g, marker.color.b, marker.color.a = 0.85, 0.3, 0.1, 0.9
         return marker

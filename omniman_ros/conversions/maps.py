@@ -12,7 +12,7 @@ from std_msgs.msg import Header
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import is_stamped, time_seconds
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.occupancy import MapUpdate, OccupancyMap, cells_of
+from omniman_ros.surroundings.occupancy import MapUpdate, OccupancyMap, cells_of
 
 
 def map_from_message(message: OccupancyGrid) -> OccupancyMap:

@@ -1,7 +1,7 @@
 """Convert markers of obstacles to observations, and predicted obstacles to markers."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from builtin_interfaces.msg import Time
@@ -15,8 +15,8 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.transform_tree import Placement
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.obstacles import Observation
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.obstacles import Observation
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,9 @@ def marker_changes(
     A CYLINDER or a SPHERE is an ellipse whose diameters along its own x and y are its scale. It
     extends by half of its scale's z above and below its position; if that is 0, its height is
     unknown, and it has no ends.
+    One `point`, where there is one, is the velocity over the ground along the axes of its frame
+    [m/s], from a source that tracks it. A second one has the variances of each component of
+    position (x) [m^2] and velocity (z) [m^2/s^2], and their covariance (y) [m^2/s].
     ADD (and MODIFY) places it, DELETE removes it, and DELETEALL removes all of its namespace, or
     all obstacles if it has no namespace. The frame and type of a deletion are ignored.
 
@@ -84,6 +87,8 @@ def _observation(
     plane, height = placement.transform.planar(), placement.transform.translation[2]
     yaw = yaw_from_quaternion(marker.pose.orientation)
     x, y, angle = se2.compose(plane, (position.x, position.y, yaw))
+    points = marker.points
+    velocity, deviation = _motion(points, plane[2]) if points else (None, 0.0)
     low, high = position.z + height - 0.5 * scale.z, position.z + height + 0.5 * scale.z
     return Observation(
         (marker.ns, marker.id),
@@ -95,7 +100,23 @@ def _observation(
         time_seconds(marker.lifetime),
         (low, high) if scale.z > 0.0 else (-math.inf, math.inf),
         placement.frame,
+        velocity,
+        deviation,
     )
+
+
+def _motion(points: Sequence[Point], angle: float) -> tuple[tuple[float, float], float]:
+    """Return the velocity (x, y) in the points of a marker, and its deviation [m/s].
+
+    Its frame is turned by an angle [rad].
+    """
+    if len(points) > 2:
+        raise InputError(f"it has {len(points)} points, expected a velocity and its variances")
+    v, variance = points[0], points[1].z if len(points) == 2 else 0.0
+    if not 0.0 <= variance < math.inf:
+        raise InputError(f"the variance of its velocity {variance} m^2/s^2 is below 0 or infinite")
+    c, s = math.cos(angle), math.sin(angle)
+    return (c * v.x - s * v.y, s * v.x + c * v.y), math.sqrt(variance)
 
 
 def ellipse_markers(

@@ -35,6 +35,8 @@ def track_markers(
 ) -> MarkerArray:
     """Return the message of obstacles that everything here reads: upright cylinders.
 
+    Their `points` are their velocities and variances; see `marker_changes`.
+
     Args:
         gone: Identities of those that are there no longer.
         lifetime: Time after which each is forgotten without another message [s].
@@ -46,7 +48,7 @@ def track_markers(
     ]
     duration = duration_message(lifetime)
     for obstacle in obstacles:
-        x, y = obstacle.center
+        (x, y), (vx, vy), (pp, pv, vv) = obstacle.center, obstacle.velocity, obstacle.covariance
         diameter = 2.0 * obstacle.radius
         markers.append(
             Marker(
@@ -59,6 +61,7 @@ def track_markers(
                 color=HIDDEN if obstacle.silence > 0.0 else SEEN,
                 scale=Vector3(x=diameter, y=diameter, z=height),
                 pose=Pose(position=Point(x=x, y=y, z=0.5 * height)),
+                points=[Point(x=vx, y=vy), Point(x=pp, y=pv, z=vv)],
             )
         )
     return MarkerArray(markers=markers)

@@ -18,9 +18,9 @@ from omniman_ros.conversions.maps import map_from_message
 from omniman_ros.conversions.perceived import tracked_obstacles
 from omniman_ros.conversions.scans import scan_from_message
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
+from omniman_ros.surroundings.occupancy import OccupancyMap
 
 Stamped = tuple[float, Array]  #: ROS time [s], and values at that time
 

@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.monitor import CollisionMonitor, RobotMotion, SpeedLimit
 from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.obstacle_shapes import ellipse_surroundings, grid_obstacles
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.speed_limits import SpeedLimits
 from omniman_ros.collision.unseen import Arrivals, OcclusionLimit
@@ -35,8 +36,7 @@ from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
+from omniman_ros.surroundings.grid_map import GridMap
 
 JOINT_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
 MAP = "map"  #: What an occupied part of the map is called

@@ -13,7 +13,7 @@ from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.surroundings_parameters import MapReading
-from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
+from omniman_ros.surroundings.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,6 @@ from std_msgs.msg import Header
 from omniman_ros.conversions.maps import map_from_message, map_update_from_message
 from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
 from omniman_ros.core.stamps import comparable
@@ -22,7 +21,8 @@ from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.surroundings.grid_map import GridMap
+from omniman_ros.surroundings.occupancy import OccupancyMap
 
 #: Distance by which a map may be wrong where the robot is, before it is moved [m]
 MOST_SHIFT = 0.005

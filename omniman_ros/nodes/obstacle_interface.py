@@ -13,9 +13,9 @@ from omniman_ros.core.transform_tree import Placement
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.source_watch import SourceWatch
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
-from omniman_ros.planning.obstacles.obstacles import (
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.framed_obstacles import FramedObstacles
+from omniman_ros.surroundings.obstacles import (
     Key,
     Observation,
     ObstacleParameters,

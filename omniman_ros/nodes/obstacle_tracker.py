@@ -22,7 +22,6 @@ from omniman_ros.conversions.scans import Slice, scan_from_cloud, scan_from_mess
 from omniman_ros.conversions.tracks import track_cloud, track_markers
 from omniman_ros.conversions.unseen import unseen_message
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.occupancy import changed_cells
 from omniman_ros.core.rigid import Transform
 from omniman_ros.extras import TRACKING
 from omniman_ros.nodes import map_messages
@@ -38,6 +37,7 @@ from omniman_ros.perception.pose_history import PoseHistory
 from omniman_ros.perception.scan import Scan
 from omniman_ros.perception.scan_check import ScanCheck
 from omniman_ros.perception.unseen import RESOLUTION
+from omniman_ros.surroundings.occupancy import changed_cells
 
 if TYPE_CHECKING:  # needs scipy, which is optional
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker

@@ -16,7 +16,7 @@ from omniman_ros.perception.parameters import (
     UnseenParameters,
 )
 from omniman_ros.perception.scan_check import ScanCheckParameters
-from omniman_ros.planning.obstacles.tracking import TrackingParameters
+from omniman_ros.surroundings.tracking import TrackingParameters
 
 LASER, CLOUD = "laser", "cloud"
 """Kinds of scanners: they send LaserScan or PointCloud2."""

@@ -1,5 +1,6 @@
 """Topics with what is around the robot: obstacles, and a map of what stands."""
 
+from omniman_ros.collision.obstacle_shapes import grid_obstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.nodes.frame_transforms import FrameTransforms
@@ -8,10 +9,9 @@ from omniman_ros.nodes.obstacle_interface import ObstacleInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.obstacles import Key
-from omniman_ros.planning.obstacles.surroundings import grid_obstacles
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.surroundings.grid_map import GridMap
+from omniman_ros.surroundings.obstacles import Key
 
 
 class SurroundingsInterface:

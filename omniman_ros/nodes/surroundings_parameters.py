@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
+from omniman_ros.surroundings.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True)

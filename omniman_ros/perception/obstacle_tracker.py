@@ -20,7 +20,7 @@ from omniman_ros.perception.pose_history import PoseHistory
 from omniman_ros.perception.scan import Indices, Mask, Scan, View, placed
 from omniman_ros.perception.track import Track, TrackedObstacle
 from omniman_ros.perception.unseen import UnseenSpace
-from omniman_ros.planning.obstacles.tracking import TrackingParameters
+from omniman_ros.surroundings.tracking import TrackingParameters
 
 OWN_MARGIN = 0.05  #: Distance around the robot's own parts within which points are its own [m]
 #: Time after a jump of the odometry during which scans are not used [s]: a robot that is moved by

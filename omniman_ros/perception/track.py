@@ -7,7 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.perception.parameters import TrackerParameters
-from omniman_ros.planning.obstacles.tracking import ObstacleTrack, TrackingParameters
+from omniman_ros.surroundings.tracking import ObstacleTrack, TrackingParameters
 
 MOST_MISSES = 3  #: Number of scans in a row that look through a thing after which it is gone
 #: Number of scans that must show a thing where nothing was, before it counts as moving

@@ -15,10 +15,10 @@ from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import Goal, PlanTarget, StateGoal, TrajectoryGoal
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.route.route_planner import CHECK_PERIOD, STATIC_SPEED, RoutePlanner
 from omniman_ros.planning.safety import Surroundings
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Growth of an obstacle's margin above which its velocity is not known yet [m/s]
 NEW_OBSTACLE_GROWTH = 0.15

@@ -6,7 +6,7 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.platform import Platform
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
+from omniman_ros.surroundings.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True)

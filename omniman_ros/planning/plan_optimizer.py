@@ -18,11 +18,11 @@ from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.mpc.solver import Solution, Solver
 from omniman_ros.planning.mpc.transcription import Transcription
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
 from omniman_ros.planning.parameters import Horizon
+from omniman_ros.surroundings.ellipses import Ellipses
 
 WALL_SLOTS = 8  #: Number of additional obstacles in the optimisation where there are walls
 #: Solver iterations on a problem without a warm start; with a warm start there is only one

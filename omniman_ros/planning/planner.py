@@ -24,10 +24,8 @@ from omniman_ros.planning.motion_selection import MotionSelector, PlanProposal
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.mpc.solver import Solution
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.escape_path import EscapePath
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.plan_optimizer import PlanOptimizer, PlanRequest, SolverPool
@@ -39,6 +37,8 @@ from omniman_ros.planning.route.route_planner import (
 )
 from omniman_ros.planning.safety import Surroundings
 from omniman_ros.planning.velocity_samples import VelocitySamples
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap
 
 CROWD = 6  #: Number of things that move nearby from which on the planner samples velocities
 #: The same for a robot that waits for a way: its optimum, to stay, makes way in one direction only

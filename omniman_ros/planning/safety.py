@@ -9,7 +9,6 @@ import numpy as np
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.motion import HermiteTrajectory
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.escape_path import EscapePath
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import (
@@ -20,6 +19,7 @@ from omniman_ros.planning.obstacles.separation import (
     within_distance,
 )
 from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Number of parts into which the check divides each span between two nodes of a motion
 SPAN_PARTS = 4

@@ -16,7 +16,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.solver import Solution
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 Mask = NDArray[np.bool_]  #: Array of flags
 

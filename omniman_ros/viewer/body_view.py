@@ -9,6 +9,7 @@ import numpy as np
 from omniman_ros.collision.arm_segments import ArmSegments
 from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
 from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.obstacle_shapes import FARTHEST, ellipse_surroundings
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core import se2
@@ -17,8 +18,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.whole_body.model import planar_transform
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
+from omniman_ros.surroundings.ellipses import Ellipses
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 
 JOINT_TOLERANCE = 0.01  #: Rotation of a joint from which the footprint is computed anew [rad]

@@ -8,7 +8,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.cycle import PlannerState
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 from omniman_ros.viewer.lines import Line, Trail
 from omniman_ros.viewer.perceived import FRESHNESS_TIMEOUT, Perceived
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays

@@ -7,7 +7,6 @@ import pytest
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
 from omniman_ros.perception.obstacle_tracker import ObstacleTracker
@@ -16,8 +15,9 @@ from omniman_ros.perception.scan import Scan
 from omniman_ros.planning.cases import CASES
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.tracking import TrackingParameters
+from omniman_ros.surroundings.grid_map import GridMap
+from omniman_ros.surroundings.occupancy import OccupancyMap
+from omniman_ros.surroundings.tracking import TrackingParameters
 from test import robots
 from test.planning.support import CYCLE, SimulatedRun, ellipses, planner
 

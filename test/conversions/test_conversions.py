@@ -6,18 +6,22 @@ import pytest
 
 from omniman_ros.control.odometry import Odometry, OdometryParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.core import rigid
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
+from omniman_ros.core.transform_tree import Placement
 from omniman_ros.motion.path.interpolator import Window
+from omniman_ros.perception.track import TrackedObstacle
 from omniman_ros.planning.motion import HermiteTrajectory
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters, ObstacleSet
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.obstacles import Observation, ObstacleParameters, ObstacleSet
 from test.robots import kinematics
 from test.work import calls
 
 pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import (
+    Point,
     PoseStamped,
     PoseWithCovarianceStamped,
     Quaternion,
@@ -54,6 +58,7 @@ from omniman_ros.conversions.poses import (
     path_poses,
     planar_pose,
 )
+from omniman_ros.conversions.tracks import track_markers
 from omniman_ros.conversions.trajectories import (
     PLATFORM_JOINT,
     fill_reference,
@@ -592,6 +597,27 @@ def test_heights_of_a_marker_end_half_its_scale_from_its_position():
     assert made.heights == (-INF, INF)
 
 
+def test_velocity_of_a_marker_turns_with_its_frame():
+    points = [Point(x=1.0, y=-0.5), Point(x=0.01, y=0.005, z=0.04)]
+    (made,), complaints = changed(marker(points=points))
+    assert complaints == []
+    assert (made.velocity, made.velocity_deviation) == ((1.0, -0.5), pytest.approx(0.2))
+    turned = Placement("map", rigid.Transform.of_planar((3.0, 0.0, math.pi / 2)))
+    (made,), _ = marker_changes(
+        MarkerArray(markers=[marker(points=points[:1])]), lambda header: turned, clock
+    )
+    assert (made.velocity, made.velocity_deviation) == (pytest.approx((0.5, 1.0)), 0.0)
+
+
+def test_track_survives_a_round_trip_through_a_marker():
+    track = TrackedObstacle(7, NOW, (1.0, 2.0), (0.4, -0.3), 0.25, (1e-3, 2e-3, 0.09), 3.0, 0.0)
+    message = track_markers([track], [3], "odom", Time(sec=49), lifetime=0.5, height=1.8)
+    (gone, back), complaints = changed(*message.markers)
+    assert complaints == [] and gone == MarkerDeletion("tracked", 3)
+    assert (back.x, back.y, *back.semi_axes) == (1.0, 2.0, 0.25, 0.25)
+    assert (back.velocity, back.velocity_deviation) == ((0.4, -0.3), pytest.approx(0.3))
+
+
 def test_spheres_other_allowed_frames_and_zero_stamps_are_accepted():
     made, complaints = changed(
         marker(type=Marker.SPHERE), marker(1, header__frame_id="/map"), frames=("odom", "map")
@@ -651,6 +677,10 @@ def test_frame_shape_and_pose_of_a_deletion_are_ignored():
         ({"scale__z": NAN}, r"scale\.z nan m"),
         ({"scale__z": INF}, r"scale\.z inf m"),
         ({"lifetime": Duration(sec=-1)}, "lifetime -1.0 s"),
+        ({"points": [Point(x=NAN)]}, "velocity .*nan"),
+        ({"points": [Point(), Point(z=-1.0)]}, "variance of its velocity -1.0"),
+        ({"points": [Point(), Point(z=NAN)]}, "variance of its velocity nan"),
+        ({"points": [Point()] * 3}, "3 points"),
         ({"header__stamp": Time(sec=100)}, "stamp is 50.000 s ahead"),
     ],
 )

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 from omniman_ros.perception.parameters import MapParameters, TrackerParameters
 from omniman_ros.perception.scan import Scan
-from omniman_ros.planning.obstacles.tracking import TrackingParameters
+from omniman_ros.surroundings.tracking import TrackingParameters
 
 BEAMS = 720
 ANGLES = np.linspace(-0.5 * math.pi, 0.5 * math.pi, BEAMS)

@@ -14,10 +14,10 @@ from omniman_ros.planning.cycle import MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.motion_selection import REPLAN_HEADING_ERROR, REPLAN_POSITION_ERROR
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.plan_optimizer import SolverPool
 from omniman_ros.planning.planner import Planner
+from omniman_ros.surroundings.ellipses import Ellipses
 from test import robots
 
 CYCLE = 0.05  #: Period of the planner [s]

@@ -11,9 +11,9 @@ from omniman_ros.planning.cycle import MeasuredState, PlannerState
 from omniman_ros.planning.goals import PoseGoal, StateGoal, TrajectoryGoal
 from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram
 from omniman_ros.planning.mpc.solver import Solver, SolverError
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.route.route_planner import RouteSource
+from omniman_ros.surroundings.grid_map import GridMap
 from test.planning.support import (
     CYCLE,
     SimulatedRun,

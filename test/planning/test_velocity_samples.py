@@ -8,8 +8,8 @@ import pytest
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.velocity_samples import DURATION, VelocitySamples, _gaps_to_each
+from omniman_ros.surroundings.ellipses import Ellipses
 from test.planning.support import SimulatedRun, parameters, planner
 from test.planning.test_planner import pose
 

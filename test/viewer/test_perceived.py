@@ -8,8 +8,8 @@ import pytest
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.robots import robot_parameters
+from omniman_ros.surroundings.ellipses import Ellipses
 from omniman_ros.viewer.body_view import BodyShapes, obstacles_around
 from omniman_ros.viewer.map_image import FREE, MOST_PIXELS, OCCUPIED, map_image, map_pixels
 from omniman_ros.viewer.perceived import (

@@ -24,7 +24,6 @@ from omniman_ros.console.terminal import say
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
 from omniman_ros.extras import TRACKING, WORLD
@@ -43,8 +42,6 @@ from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.planning.goals import PoseGoal
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.obstacles import Observation
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
@@ -54,6 +51,9 @@ from omniman_ros.simulation.world.occupancy import occupancy
 from omniman_ros.simulation.world.parameters import IDEAL
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 from omniman_ros.simulation.world.scene import Scene, Wall
+from omniman_ros.surroundings.grid_map import GridMap
+from omniman_ros.surroundings.obstacles import Observation
+from omniman_ros.surroundings.occupancy import OccupancyMap
 
 WORLDS, QUICK_WORLDS = 300, 2  #: number of worlds, one drive each, and with `--quick`
 SCORE_AIM = 0.49  #: aim: least mean score by scanner alone, at the size of a Jackal
@@ -210,6 +210,8 @@ class ScannerSenses:
                 angle=0.0,
                 semi_axes=(thing.radius, thing.radius),
                 lifetime=TRACK_LIFETIME,
+                velocity=thing.velocity,
+                velocity_deviation=math.sqrt(thing.covariance[2]),
             )
             loop.observed.add(seen, now)
         if now >= self._next_map - 1e-9:

@@ -29,11 +29,11 @@ from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import PlannerParameters, Workspace
 from omniman_ros.planning.plan_optimizer import COLD_ITERATIONS
+from omniman_ros.surroundings.ellipses import Ellipses
 
 DISTANCE = (2.5, 3.5)  #: range of the distance from the start to the goal [m]
 SEMI_AXES = (0.12, 0.4)  #: range of the semi-axes of obstacles [m]

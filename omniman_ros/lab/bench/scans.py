@@ -11,7 +11,7 @@ def new_tracker() -> "ObstacleTracker":
     """Return a tracker with the default parameters."""
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
     from omniman_ros.perception.parameters import MapParameters, TrackerParameters
-    from omniman_ros.planning.obstacles.tracking import TrackingParameters
+    from omniman_ros.surroundings.tracking import TrackingParameters
 
     return ObstacleTracker(TrackerParameters(), MapParameters(), TrackingParameters())
 

@@ -30,7 +30,6 @@ from omniman_ros.lab.studies.tool_path import (
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.pace import Window
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters, ObstacleSet
 from omniman_ros.planning.whole_body.controller import PERIOD as CYCLE
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.processes.arm_options import WORLD_SERVO_LAG
@@ -38,6 +37,7 @@ from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import UrArmParameters
 from omniman_ros.simulation.ur.world_arm import WorldArm
 from omniman_ros.simulation.world import scene as things
+from omniman_ros.surroundings.obstacles import Observation, ObstacleParameters, ObstacleSet
 from omniman_ros.ur.parameters import UrParameters
 
 BEGIN = 1.0  #: Time for which the robot sees a scene before it begins [s]

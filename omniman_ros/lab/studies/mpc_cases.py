@@ -20,7 +20,7 @@ from omniman_ros.lab.studies.scene_geometry import (
     wall_gap,
 )
 from omniman_ros.planning.cases import CASES, RADIUS, Pose
-from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.surroundings.grid_map import GridMap
 
 RESOLUTION = 0.05  #: edge of a cell of the map [m]
 AREA = (-1.5, -1.5, 11.0, 6.0)  #: area of the map: x_min, y_min, x_max, y_max in odom [m]

@@ -16,11 +16,11 @@ from omniman_ros.lab.studies.scene_geometry import MovingObstacle
 from omniman_ros.lab.studies.worlds import WorldChoice, place_obstacles
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.planner import Planner
 from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.obstacles import Observation, ObstacleSet
 
 PLANNER_PERIOD = 0.05  #: period of the planner [s]
 OBSERVATION_PERIOD = 0.05  #: period of the observations of obstacles [s]

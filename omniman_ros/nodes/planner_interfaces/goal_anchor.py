@@ -12,7 +12,7 @@ from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.planning.cycle import MeasuredState
 from omniman_ros.planning.goals import Goal
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner

@@ -16,7 +16,7 @@ from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner

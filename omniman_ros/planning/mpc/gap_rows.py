@@ -31,7 +31,7 @@ def ellipse_axes(y: ca.SX, obstacle: ca.SX, duration: float) -> EllipseAxes:
     The smallest distance of a chord of length L from the centre of its circle of radius r is
     sqrt(r^2 - L^2 / 4). On the circle of radius sqrt(c^2 + L^2 / 4) this is c, the smallest
     radius of curvature of the ellipse: the difference of these two radii is the margin. The axes
-    with a margin are those of `planning.obstacles.ellipses.inflated`.
+    with a margin are those of `surroundings.ellipses.inflated`.
 
     Args:
         y: State (6,) at the node.

@@ -16,9 +16,9 @@ from omniman_ros.planning.motion import HermiteTrajectory
 from omniman_ros.planning.mpc.gap_rows import OBSTACLE
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import EXTREMES, SIDES, Stage
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap, facing_gap, within_distance
+from omniman_ros.surroundings.ellipses import Ellipses
 
 FAR_AWAY = 1e3  #: Coordinates of the obstacle in an empty slot [m]
 #: Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is

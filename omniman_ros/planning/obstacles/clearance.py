@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
+from omniman_ros.surroundings.ellipses import Ellipses
 
 Index = NDArray[np.intp]  #: Array of indices of obstacles
 

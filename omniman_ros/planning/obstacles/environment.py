@@ -7,11 +7,11 @@ import numpy as np
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap, Mask
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
 from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap, Mask
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import MAX_COMPUTED_GAP, Walls
+from omniman_ros.surroundings.grid_map import GridMap
 
 DIRECTIONS = 48  #: Number of directions that are tried
 STEP = 0.02  #: Distance between two poses on a way [m]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 
 @dataclass(frozen=True)

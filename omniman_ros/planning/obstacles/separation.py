@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 Mask = NDArray[np.bool_]  #: Array of flags, one per obstacle
 Workspace = tuple[float, float, float, float]  #: Bounds x_min, y_min, x_max, y_max in odom [m]

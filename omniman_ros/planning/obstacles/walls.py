@@ -9,7 +9,7 @@ import numpy as np
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
 MAX_COMPUTED_GAP = 0.3

@@ -6,8 +6,8 @@ import numpy as np
 
 from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import Workspace
+from omniman_ros.surroundings.ellipses import Ellipses
 
 EDGE = 0.05  #: Distance from a node to the next [m]
 

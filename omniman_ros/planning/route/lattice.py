@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.surroundings.grid_map import GridMap
 
 Single = NDArray[np.float32]  #: Array of single-precision floats: costs [s]
 Index = NDArray[np.intp]  #: Array of indices of nodes, headings, columns or rows

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
-from omniman_ros.planning.obstacles.ellipses import inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.route.lattice import Lattice, Work
 from omniman_ros.planning.route.problem import LEAST_ROOM, RouteProblem
+from omniman_ros.surroundings.ellipses import inflated
 
 Index = NDArray[np.intp]  #: Array of indices of nodes, headings, columns or rows
 Words = NDArray[np.uint64]  #: Array of bit masks, one per node, with a bit for each heading

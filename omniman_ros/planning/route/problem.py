@@ -12,9 +12,9 @@ from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import Workspace, outside_by
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap
 
 #: Ratio of the smallest gap at the nodes to the margin [-], allowed in narrow passages
 NODE_GAP_FACTOR = 0.75

@@ -12,8 +12,8 @@ from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.validated import Validated
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import Workspace
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Largest distance that a point of the robot moves between two poses that are checked [m]
 SPACING = 0.02

@@ -4,8 +4,8 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.obstacles.grid_map import Mask
 from omniman_ros.planning.route.route import Route
+from omniman_ros.surroundings.grid_map import Mask
 
 SIGHT = 2.5  #: Part of the route after the robot that is looked at [s]
 SIGHT_STEP = 0.1  #: Part of the route between two places that are looked at [s]

@@ -9,13 +9,13 @@ import numpy as np
 
 from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.moving_obstacles import MovingObstacles
+from omniman_ros.collision.obstacle_shapes import ellipse_surroundings
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import Range
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Lowest pace at which what moves is predicted: below it, the robot all but stands
 SLOWEST_PACE = 0.1

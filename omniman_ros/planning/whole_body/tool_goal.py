@@ -21,7 +21,6 @@ from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.route.disc_reach import reached_by_disc
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.search import RouteSearch
@@ -30,6 +29,7 @@ from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
+from omniman_ros.surroundings.ellipses import Ellipses
 
 #: Gap of the route relative to that of a way of the platform: a route halves it between its nodes
 GAP_FACTOR = 2.0

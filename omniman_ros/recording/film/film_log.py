@@ -12,12 +12,12 @@ from omniman_ros.conversions.maps import map_from_message
 from omniman_ros.conversions.scans import scan_from_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
 from omniman_ros.recording.reader import BagReader
 from omniman_ros.recording.robot_log import RobotLog, read_robot_log
 from omniman_ros.recording.ros_time import ArrivalClock
+from omniman_ros.surroundings.occupancy import OccupancyMap
 
 TOPIC_TYPES = {
     "odom": "nav_msgs/msg/Odometry",

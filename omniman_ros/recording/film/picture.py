@@ -12,10 +12,10 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFilter, ImageFont
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.recording.film.bodies import Triangles
 from omniman_ros.recording.film.camera import NEAREST, Camera
 from omniman_ros.recording.film.rasterizer import Rasterizer
+from omniman_ros.surroundings.occupancy import OccupancyMap
 from omniman_ros.viewer.style import Colour, rgb
 
 SAMPLES = 2  #: Pixels along each side that are drawn for one of the film

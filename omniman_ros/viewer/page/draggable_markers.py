@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.platform import Body, Platform
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 from omniman_ros.viewer import style
 from omniman_ros.viewer.events import (
     GoalDragged,

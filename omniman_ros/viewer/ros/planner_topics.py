@@ -15,9 +15,9 @@ from omniman_ros.core.parameters import build
 from omniman_ros.nodes import obstacle_interface
 from omniman_ros.nodes.obstacle_interface import marker_headers
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.framed_obstacles import FramedObstacles
+from omniman_ros.surroundings.obstacles import Observation, ObstacleParameters
 from omniman_ros.viewer.lines import outlines, thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.page_frames import PageFrames

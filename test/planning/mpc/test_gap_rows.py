@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.planning.mpc.gap_rows import OBSTACLE, SMOOTH_RATE, ellipse_axes, gap_rows
-from omniman_ros.planning.obstacles.ellipses import inflated
+from omniman_ros.surroundings.ellipses import inflated
 
 STEP = 0.1
 

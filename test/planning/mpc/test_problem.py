@@ -12,9 +12,9 @@ from omniman_ros.planning.mpc.gap_rows import OBSTACLE
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.mpc.transcription import SIDES, Transcription
-from omniman_ros.planning.obstacles.ellipses import inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
+from omniman_ros.surroundings.ellipses import inflated
 from test.planning.support import ellipses, model, parameters
 
 STEPS, STEP, SLOTS = 20, 0.1, 3

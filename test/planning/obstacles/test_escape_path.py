@@ -9,8 +9,8 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.escape_path import EXIT_GAP, EscapePath
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.surroundings.grid_map import GridMap
 from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])

@@ -7,7 +7,6 @@ import pytest
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles import separation
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import (
     box_gap,
     facing_gap,
@@ -16,6 +15,7 @@ from omniman_ros.planning.obstacles.separation import (
     swept_gap,
     within_distance,
 )
+from omniman_ros.surroundings.ellipses import Ellipses
 from test.work import calls
 
 HALF = np.array([0.4, 0.25])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.route.disc_reach import EDGE, reached_by_disc
+from omniman_ros.surroundings.ellipses import Ellipses
 
 WORKSPACE = (-3.0, -2.0, 4.0, 3.0)
 RADIUS = 0.25

@@ -6,11 +6,11 @@ import pytest
 from omniman_ros.collision.footprint import Footprint, Limbs
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.lattice import Lattice, LatticeFrame, Region
 from omniman_ros.planning.route.occupancy import CROWDED, MAX_KINDS, HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap
 from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])

@@ -8,7 +8,6 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core import se2
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.route.route_planner import (
     CHECK_PERIOD,
@@ -25,6 +24,7 @@ from omniman_ros.planning.route.route_planner import (
     RoutePlanner,
     RouteSource,
 )
+from omniman_ros.surroundings.grid_map import GridMap
 from test.planning.support import CYCLE, ellipses, model, parameters
 
 ROBOT = model("ig42")

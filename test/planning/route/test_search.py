@@ -7,10 +7,10 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import outside_by
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.search import RouteSearch
+from omniman_ros.surroundings.grid_map import GridMap
 from test.planning.support import ellipses
 from test.tiers import exhaustive, representative
 

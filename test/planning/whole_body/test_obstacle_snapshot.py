@@ -6,8 +6,8 @@ import pytest
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.parameters import build
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters, ObstacleSet
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.surroundings.obstacles import Observation, ObstacleParameters, ObstacleSet
 
 
 def test_what_moves_is_ahead_of_its_place_by_its_age_and_what_stands_stays():

@@ -13,7 +13,7 @@ from viser._messages import ScenePointerMessage
 
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.planning.cases import TwoVelocityPath
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
 from omniman_ros.viewer import style
 from omniman_ros.viewer.body_view import BodyView, Nearest, PlanView
 from omniman_ros.viewer.events import (

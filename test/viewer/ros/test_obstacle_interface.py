@@ -15,7 +15,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
 from omniman_ros.nodes import obstacle_interface
 from omniman_ros.planning.cases import TwoVelocityPath
-from omniman_ros.planning.obstacles.obstacles import ObstacleParameters, ObstacleSet
+from omniman_ros.surroundings.obstacles import ObstacleParameters, ObstacleSet
 from omniman_ros.viewer.events import (
     ButtonPressed,
     ObstacleDeleted,

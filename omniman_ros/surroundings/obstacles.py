@@ -10,10 +10,11 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.tracking import (
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.tracking import (
     CONFIRMATION_TIME,
     ObstacleTrack,
+    ReportedMotion,
     TrackingParameters,
 )
 
@@ -67,7 +68,8 @@ class Observation:
 
     Raises:
         InputError: A value is not finite or implausible, a semi-axis is not above 1 mm and below
-            100 m, the lifetime is negative, or the upper side is below the lower one.
+            100 m, the lifetime or the deviation is negative, or the upper side is below the lower
+            one.
     """
 
     key: Key  #: Namespace and number of the obstacle
@@ -82,6 +84,9 @@ class Observation:
     heights: tuple[float, float] = (-math.inf, math.inf)
     #: Frame of the observation, which does not move with the robot; empty for odom
     frame: str = ""
+    #: (x, y) velocity in `frame` [m/s] if the source tracks the obstacle, None if not
+    velocity: tuple[float, float] | None = None
+    velocity_deviation: float = 0.0  #: Standard deviation of either component of it [m/s]
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.time):
@@ -99,13 +104,20 @@ class Observation:
             raise InputError(f"lifetime {self.lifetime} s must be finite and not negative")
         if not self.heights[0] <= self.heights[1]:
             raise InputError(f"heights {self.heights} m must be a lower and an upper one")
+        if self.velocity is not None:
+            plausible.demand(np.array(self.velocity), plausible.SPEED, "velocity")
+            if not 0.0 <= self.velocity_deviation < math.inf:
+                raise InputError(
+                    f"the velocity's deviation {self.velocity_deviation} m/s must be finite and "
+                    "not negative"
+                )
 
 
 @dataclass(slots=True)
 class _Obstacle:
     """Track, last observation and expiry time [s] of an obstacle."""
 
-    track: ObstacleTrack
+    track: ObstacleTrack | ReportedMotion
     seen: Observation
     expiry: float
 
@@ -128,7 +140,7 @@ class _Table:
 
 
 class ObstacleSet:
-    """Obstacles by their keys, each with a track.
+    """Obstacles by their keys. Those that come without a velocity are tracked.
 
     An obstacle stays until it is changed or deleted, or its lifetime is over (counted from its
     arrival). While its observation is younger than the timeout, it is predicted at constant
@@ -171,16 +183,26 @@ class ObstacleSet:
                         f"obstacle {key}: there are {len(self._obstacles)} already, "
                         f"at most {self._parameters.most} are kept"
                     )
-            track = ObstacleTrack(self._parameters.tracking, time, observation.x, observation.y)
-            self._obstacles[key] = _Obstacle(track, observation, expiry)
+            self._obstacles[key] = _Obstacle(self._begun(observation), observation, expiry)
         elif time < known.seen.time:
             return
         else:
             # The same observation again keeps it alive, and may change its shape.
-            known.track.observe(time, observation.x, observation.y)
+            if observation.velocity is None and type(known.track) is ObstacleTrack:
+                known.track.observe(time, observation.x, observation.y)
+            else:
+                known.track = self._begun(observation)
             known.seen, known.expiry = observation, expiry
         self._latest = now
         self._table = None
+
+    def _begun(self, seen: Observation) -> ObstacleTrack | ReportedMotion:
+        """Return the motion of an obstacle after an observation with a velocity, or the first."""
+        p = self._parameters.tracking
+        if seen.velocity is None:
+            return ObstacleTrack(p, seen.time, seen.x, seen.y)
+        place = (seen.x, seen.y)
+        return ReportedMotion(p, seen.time, place, seen.velocity, seen.velocity_deviation)
 
     def delete(self, key: Key) -> None:
         """Delete an obstacle if it is known."""

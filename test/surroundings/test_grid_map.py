@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import OccupancyMap
-from omniman_ros.planning.obstacles.grid_map import MAX_CELLS, GridMap
+from omniman_ros.surroundings.grid_map import MAX_CELLS, GridMap
+from omniman_ros.surroundings.occupancy import OccupancyMap
 
 ORIGIN = np.array([1.0, -2.0, 0.5])
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap
 
 #: Height above the floor, and depth below it, that are beyond every part of the robot [m]: there,
 #: an obstacle of unknown height and the cells of a map end.

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.parameters import build
-from omniman_ros.planning.obstacles.framed_obstacles import ODOM, FramedObstacles
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters
+from omniman_ros.surroundings.framed_obstacles import ODOM, FramedObstacles
+from omniman_ros.surroundings.obstacles import Observation, ObstacleParameters
 
 PERIOD = 0.05
 

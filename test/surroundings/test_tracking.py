@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
-from omniman_ros.planning.obstacles.tracking import (
+from omniman_ros.surroundings.tracking import (
     CONFIRMATION_TIME,
     ObstacleTrack,
     TrackingParameters,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
+from omniman_ros.surroundings.ellipses import Ellipses, inflated
 
 PHI = np.linspace(0, 2 * np.pi, 721)
 

@@ -301,6 +301,44 @@ class ObstacleTrack:
         return math.hypot(b[1] - a[1], b[2] - a[2]) <= distance
 
 
+class ReportedMotion:
+    """Position and velocity of one obstacle as its source reports them: it tracks it itself.
+
+    A second filter behind that of the source would only add its delay. The attributes are those
+    of `ObstacleTrack`.
+
+    Args:
+        parameters: Limits of the motion.
+        time: Time of the report [s].
+        place: (x, y) [m].
+        velocity: (vx, vy) [m/s]; a faster one than `max_speed` is reduced to it.
+        deviation: Standard deviation of either component of the velocity [m/s].
+    """
+
+    doubted = math.inf
+
+    def __init__(
+        self,
+        parameters: TrackingParameters,
+        time: float,
+        place: tuple[float, float],
+        velocity: tuple[float, float],
+        deviation: float,
+    ) -> None:
+        self._max_speed = parameters.max_speed
+        self.time, self.position, self.observed = time, place, place
+        self.velocity = _bounded(*velocity, self._max_speed)
+        self.velocity_deviation = min(deviation, self._max_speed)
+
+    def settle(self, now: float) -> None:
+        """Do nothing: no report waits for confirmation."""
+
+    def restart(self, time: float, x: float, y: float) -> None:
+        """Restart at rest at x, y [m], with a velocity as uncertain as `max_speed`."""
+        self.time, self.position, self.observed = time, (x, y), (x, y)
+        self.velocity, self.velocity_deviation = (0.0, 0.0), self._max_speed
+
+
 def _bounded(vx: float, vy: float, bound: float) -> tuple[float, float]:
     """Return a velocity scaled down to a largest speed [m/s]."""
     speed = math.hypot(vx, vy)

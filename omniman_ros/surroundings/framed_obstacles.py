@@ -8,8 +8,8 @@ import numpy as np
 from omniman_ros.core import se2
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.core.transform_tree import ODOM
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.obstacles import (
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.obstacles import (
     Key,
     Observation,
     ObstacleParameters,

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array, Shape
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import MAX_CELLS, OccupancyMap
 from omniman_ros.core.parameters import Range
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.core.validated import Validated
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.occupancy import MAX_CELLS, OccupancyMap
 
 Mask = NDArray[np.bool_]  #: Array of flags, in the shape of the cells or of the points
 

@@ -6,7 +6,7 @@ import pytest
 
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build, specs
-from omniman_ros.planning.obstacles.obstacles import (
+from omniman_ros.surroundings.obstacles import (
     MAX_VELOCITY_DOUBT,
     PREDICTION_TIME,
     Observation,
@@ -75,6 +75,10 @@ def test_parameters_are_named_within_one_group():
         ({"lifetime": -0.1}, "lifetime -0.1 s"),
         ({"lifetime": math.nan}, "lifetime nan"),
         ({"lifetime": math.inf}, "lifetime inf"),
+        ({"velocity": (0.0, math.nan)}, "velocity .*nan"),
+        ({"velocity": (-1e4, 0.0)}, "velocity .*beyond"),
+        ({"velocity": (1.0, 0.0), "velocity_deviation": -0.1}, "deviation -0.1"),
+        ({"velocity": (1.0, 0.0), "velocity_deviation": math.nan}, "deviation nan"),
     ],
 )
 def test_implausible_observation_is_refused(change, why):
@@ -202,6 +206,55 @@ def test_single_message_that_moves_an_obstacle_is_accepted_after_a_moment():
     assert found.ellipses(2.1).centers[0] == pytest.approx((0.0, 0.0))
     for now in (2.4, 100.0):
         assert found.ellipses(now).centers[0] == pytest.approx((7.0, 7.0))
+
+
+# ---- velocities that are reported --------------------------------------------------------------
+
+
+def test_reported_velocity_is_used_from_the_first_message_on():
+    found = obstacles(growth=0.1)
+    found.add(replace(seen(), velocity=(1.2, -0.5), velocity_deviation=0.05), 0.0)
+    made = found.ellipses(0.2)
+    assert made.centers[0] == pytest.approx((1.24, 1.9))
+    assert made.velocities[0] == pytest.approx((1.2, -0.5))
+    assert made.growth[0] == pytest.approx(0.1 * 1.3 + 0.05)
+
+
+def test_reported_turn_has_no_delay_and_no_jump_is_doubted():
+    found = obstacles()
+    for time, place, velocity in ((0.0, (0.0, 0.0), (1.0, 0.0)), (0.1, (5.0, 0.0), (0.0, -1.0))):
+        x, y = place
+        found.add(replace(seen(time=time, x=x, y=y), velocity=velocity), time)
+    made = found.ellipses(0.3)
+    assert made.centers[0] == pytest.approx((5.0, -0.2))
+    assert made.velocities[0] == pytest.approx((0.0, -1.0))
+
+
+def test_reported_velocity_is_bounded_and_uncertain_to_a_bound():
+    found = obstacles(max_speed=2.0)
+    found.add(replace(seen(), velocity=(6.0, 8.0), velocity_deviation=50.0), 0.0)
+    made = found.ellipses(0.0)
+    assert made.velocities[0] == pytest.approx((1.2, 1.6))
+    assert made.growth[0] == pytest.approx(0.1 * 2.0 + MAX_VELOCITY_DOUBT)
+
+
+def test_source_may_begin_and_cease_to_report_a_velocity():
+    found = obstacles()
+    found.add(replace(seen(x=0.0, y=0.0), velocity=(1.0, 0.0)), 0.0)
+    found.add(seen(time=0.1, x=0.1, y=0.0), 0.1)
+    assert not found.ellipses(0.1).velocities.any()
+    watch(found, 0.15, 2.0, (1.0, 0.0))
+    assert found.ellipses(2.0).velocities[0] == pytest.approx((1.0, 0.0), abs=0.01)
+    found.add(replace(seen(time=2.0, x=2.0, y=0.0), velocity=(-1.0, 0.0)), 2.0)
+    assert found.ellipses(2.0).velocities[0] == pytest.approx((-1.0, 0.0))
+
+
+def test_reported_velocity_does_not_outlive_a_jump_of_time():
+    found = obstacles()
+    found.add(replace(seen(time=100.0), velocity=(1.0, 0.0)), 100.0)
+    made = found.ellipses(3.0)
+    assert made.centers[0] == pytest.approx((1.0, 2.0)) and not made.velocities.any()
+    assert made.growth[0] == pytest.approx(MAX_VELOCITY_DOUBT)
 
 
 # ---- expiry and deletion ----------------------------------------------------------------------

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_obstacles
+from omniman_ros.collision.obstacle_shapes import ellipse_surroundings, grid_obstacles
+from omniman_ros.surroundings.ellipses import Ellipses
+from omniman_ros.surroundings.grid_map import GridMap
 
 
 def at_height(points):

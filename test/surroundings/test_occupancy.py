@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import (
+from omniman_ros.surroundings.occupancy import (
     MAX_CELLS,
     MapUpdate,
     OccupancyMap,

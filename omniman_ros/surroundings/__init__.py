@@ -1,0 +1,1 @@
+"""What is around the robot: obstacles with their motion, maps, and the frames of both."""
