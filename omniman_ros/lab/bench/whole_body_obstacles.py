@@ -55,33 +55,42 @@ CPU_AIM = {"median": 10.0, "p99": 20.0, "max": 50.0}  #: Aims: largest CPU times
 SEARCH_AIM = 1.0  #: Aim: largest CPU time of a search for a way [s]
 
 
-def scene_seeds(robot: str, kind: str, count: int) -> list[int]:
-    """Return the seeds of the first scenes of a kind; a few seeds have none."""
-    return [seed for seed, _ in SceneGenerator(robot).scenes(kind, count)]
-
-
-def drive_scene(robot: str, kind: str, seed: int, method: str) -> dict[str, Any]:
-    """Return the figures of a scene."""
+def drive_scene(robot: str, kind: str, seed: int) -> dict[str, dict[str, Any]]:
+    """Return the figures of a scene by method; empty where the seed has no scene."""
     generator = SceneGenerator(robot)
     scene = generator.scene(kind, seed)
-    assert scene is not None  # as `scene_seeds` has found it
+    if scene is None:
+        return {}
     values = dict(robot_parameters(resolve_robot(robot)))
-    loop = BodyLoop(values, WHEELS, scene, START[3:], seed)
-    driver = _drivers(generator, scene)[method]()
-    record = loop.run(driver, SPAN * scene.fixed.duration + SPARE)
     unhindered, dodge = scene.fixed.duration, generator.setup.dodge
-    figures = {"kind": kind, "seed": seed, "method": method}
-    figures |= figures_of(judged(generator, scene, record), unhindered)
     least = scene.least_time(
         generator.setup.path.linear_velocity, dodge.moving_clearance, dodge.time_gap
     )
-    figures["least_ratio"] = least / unhindered
-    if isinstance(driver, AvoidingBody):
-        figures["cycle_times"] = [
-            sum(pair) for pair in zip(driver.cycle_times, driver.preview_times, strict=True)
-        ]
-        figures["search_s"] = max(driver.search_times)
-    return figures
+    found = {}
+    for method, make in _drivers(generator, scene).items():
+        loop = BodyLoop(values, WHEELS, scene, START[3:], seed)
+        driver = make()
+        record = loop.run(driver, SPAN * unhindered + SPARE)
+        figures = {"kind": kind, "seed": seed, "least_ratio": least / unhindered}
+        figures |= figures_of(judged(generator, scene, record), unhindered)
+        if isinstance(driver, AvoidingBody):
+            figures["cycle_times"] = [
+                sum(pair) for pair in zip(driver.cycle_times, driver.preview_times, strict=True)
+            ]
+            figures["search_s"] = max(driver.search_times)
+        found[method] = figures
+    return found
+
+
+def drive_scenes(robot: str, kind: str, count: int, jobs: int) -> list[dict[str, dict[str, Any]]]:
+    """Return the figures of the first scenes of a kind by method; a few seeds have no scene."""
+    found: list[dict[str, dict[str, Any]]] = []
+    first = 0
+    while (missing := count - len(found)) > 0:
+        tasks = [(robot, kind, seed) for seed in range(first, first + missing)]
+        found += filter(None, in_processes(drive_scene, tasks, jobs))
+        first += missing
+    return found
 
 
 def _drivers(
@@ -142,19 +151,14 @@ def run(args: argparse.Namespace) -> int:
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
     jobs, count = args.jobs or os.cpu_count() or 1, 1 if args.quick else args.scenes or SCENES
-    kinds = [kind for group in GROUPS.values() for kind in group]
-    found_seeds = in_processes(scene_seeds, [(args.robot, kind, count) for kind in kinds], jobs)
-    seeds = dict(zip(kinds, found_seeds, strict=True))
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "groups": {}}
     result["conditions"] = {"scenes_of_a_kind": count, "jobs": jobs, "wheels": WHEELS}
-    for group in GROUPS:
-        found: dict[str, Any] = {}
-        for method in METHODS:
-            say(f"{group}: {method} ...")
-            tasks = [
-                (args.robot, kind, seed, method) for kind in GROUPS[group] for seed in seeds[kind]
-            ]
-            found[method] = summary(in_processes(drive_scene, tasks, jobs))
+    for group, kinds in GROUPS.items():
+        drives = []
+        for kind in kinds:
+            say(f"{group}: {kind} ...")
+            drives += drive_scenes(args.robot, kind, count, jobs)
+        found = {method: summary([drive[method] for drive in drives]) for method in METHODS}
         result["groups"][group] = found
     result["picture"] = draw_picture(
         lambda f, path: f.draw_outcomes(result["groups"], {PROMISED: FAST_AIM}, path),
