@@ -87,7 +87,7 @@ $(RUNTIME): setup.py | $(EMPTY)
 	touch $@
 
 $(TESTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,plot,viewer,world,browser,docs,test]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,world,cluster,browser,docs,test]'
 	touch $@
 
 $(DOCUMENTING): $(RUNTIME)

@@ -152,6 +152,8 @@ setup(
         "plot": ["matplotlib", "pillow", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
+        # Sweeps of the laboratory on more than one machine.
+        "cluster": ["distributed"],
         # 4.0.0 factorises sparse matrices wrongly; a next major version may change the physics.
         "world": ["mujoco-core==4.*,>=4.0.1"],
         "browser": ["playwright"],

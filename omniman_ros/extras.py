@@ -40,6 +40,7 @@ def pip_install() -> str:
     return "pip install --break-system-packages" if is_managed and is_system else "pip install"
 
 
+CLUSTER = Extra(("distributed",), "a sweep on a cluster needs dask", "distributed")
 CAN = Extra(
     ("can", "canopen"), "drives on a CAN bus need python-can and canopen", "python-can canopen"
 )

@@ -52,6 +52,15 @@ SEED = option("--seed", type=int, default=0, metavar="N", help="seed; default: %
 JOBS = option(
     "--jobs", type=int, metavar="N", help="number of processes; default: that of the CPUs"
 )
+SWEEP = (
+    JOBS,
+    option(
+        "--dask",
+        metavar="ADDRESS",
+        help="compute on a Dask cluster, by the address of its scheduler, in place of processes "
+        "here",
+    ),
+)
 WORLD = option(
     "--world",
     nargs="?",
@@ -105,7 +114,7 @@ BENCHMARKS = {
         "fixed posture: completed scenes, contacts, error of the tool, CPU time of a cycle",
         (
             option("--scenes", type=int, metavar="N", help="scenes of each kind; default: 25"),
-            JOBS,
+            *SWEEP,
         ),
     ),
     "whole_body_running": Study(
@@ -122,14 +131,14 @@ BENCHMARKS = {
         "bench.clutter",
         "the planner in worlds of BARN's kind, map known and by scanner: goals, contacts, score, "
         "CPU time",
-        (worlds(300), JOBS, SEED),
+        (worlds(300), *SWEEP, SEED),
         robot=None,
     ),
     "crowd": Study(
         "bench.crowd",
         "the planner among 20 discs that see nobody or give way, beside ORCA and a dynamic "
         "window: goals per minute, contacts, CPU time",
-        (worlds(12), JOBS, SEED),
+        (worlds(12), *SWEEP, SEED),
         robot=None,
     ),
     "world": Study(
@@ -218,7 +227,7 @@ EXPERIMENTS = {
             SEED,
             WORLD,
             option("--seeds", metavar="A:B", help="seeds A to B - 1, or one; default: 0:240"),
-            JOBS,
+            *SWEEP,
             option(
                 "--solve-time",
                 type=float,

@@ -69,7 +69,7 @@ def test_each_help_ends_with_two_examples_that_are_valid():
         ("omniman bench cl", {"clutter"}),
         (
             "omniman bench clutter --",
-            {"--help", "--quick", "--results", "--worlds", "--jobs", "--seed"},
+            {"--help", "--quick", "--results", "--worlds", "--jobs", "--dask", "--seed"},
         ),
         ("omniman parameters mpc", {"mpc_planner"}),
     ],

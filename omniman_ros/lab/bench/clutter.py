@@ -11,10 +11,10 @@ length of the shortest path over 2 m/s.
 import argparse
 import heapq
 import math
-import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,13 +34,13 @@ from omniman_ros.lab.bench.harness import (
     at_most,
     conclude,
     cycle_figures,
-    in_processes,
     spread_text,
 )
 from omniman_ros.lab.bench.scans import new_tracker, scan_of
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.processes.robot_setup import resolve_robot
@@ -276,17 +276,17 @@ def run(args: argparse.Namespace) -> int:
         if not extra.is_available:
             raise CommandError(extra.hint)
     worlds = args.worlds or (QUICK_WORLDS if args.quick else WORLDS)
-    jobs = args.jobs or os.cpu_count() or 1
+    sweep = Sweep.of(args)
     robot = dict(robot_parameters(resolve_robot("ig42")))
     robots = {"jackal_size": {**robot, **JACKAL_SIZE}, "ig42": robot}
-    conditions = {"first_seed": args.seed, "jobs": jobs}
+    conditions = {"first_seed": args.seed, **sweep.conditions}
     result: dict[str, Any] = {"quick": args.quick, "conditions": conditions, "drives": {}}
     for name, values in robots.items():
         for sense in SENSES:
             say(f"{name}, {sense}, {worlds} worlds ...")
             seeds = range(args.seed, args.seed + worlds)
-            tasks = [(values, seed, sense == "scanner") for seed in seeds]
-            runs = in_processes(drive_clutter, tasks, jobs)
+            drive = partial(drive_clutter, values, by_scanner=sense == "scanner")
+            runs = sweep.collect(drive, seeds)
             result["drives"][f"{name} {sense}"] = figures(runs)
     return conclude("clutter", result, report(result), args.results)
 

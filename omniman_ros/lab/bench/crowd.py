@@ -6,7 +6,6 @@ drives the plant and sees the discs with noise; the others are kinematic and kno
 
 import argparse
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +27,6 @@ from omniman_ros.lab.bench.harness import (
     at_most,
     conclude,
     cycle_figures,
-    in_processes,
     spread_text,
 )
 from omniman_ros.lab.studies.crowd_baselines import (
@@ -40,6 +38,7 @@ from omniman_ros.lab.studies.crowd_baselines import (
 from omniman_ros.lab.studies.crowds import HALF, RADIUS, ContactJudge, DiscCrowd
 from omniman_ros.lab.studies.mpc_loop import PLANNER_PERIOD, LoopOptions, MpcLoop
 from omniman_ros.lab.studies.scene_geometry import MovingObstacle
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import PlannerParameters
@@ -202,17 +201,18 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman bench crowd`; return 0, the exit code of a successful measurement."""
     crowds = args.worlds or (QUICK_CROWDS if args.quick else CROWDS)
     seconds = QUICK_SECONDS if args.quick else SECONDS
-    jobs = args.jobs or os.cpu_count() or 1
+    sweep = Sweep.of(args)
     robot = dict(robot_parameters(resolve_robot("ig42")))
-    conditions = {"discs": DISCS, "seconds": seconds, "first_seed": args.seed, "jobs": jobs}
+    conditions = {"discs": DISCS, "seconds": seconds, "first_seed": args.seed}
+    conditions |= sweep.conditions
     result: dict[str, Any] = {"quick": args.quick, "conditions": conditions, "drives": {}}
     for kind in KINDS:
         found = result["drives"][kind] = {}
         for method in (PLANNER, *BASELINES):
             say(f"{method}, {crowds} crowds of {DISCS}, {kind} ...")
             seeds = range(args.seed, args.seed + crowds)
-            tasks = [(robot, kind, method, seed, seconds, DISCS) for seed in seeds]
-            found[method] = figures(in_processes(drive_in_crowd, tasks, jobs))
+            drive = partial(drive_in_crowd, robot, kind, method, seconds=seconds, count=DISCS)
+            found[method] = figures(sweep.collect(drive, seeds))
     return conclude("crowd", result, report(result), args.results)
 
 

@@ -5,18 +5,15 @@ code states whether the measurement succeeded, independent of the figures.
 """
 
 import contextlib
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say, table
-from omniman_ros.lab.measurement import SINGLE_THREADED, cpu_fractions, spread_ms
+from omniman_ros.lab.measurement import cpu_fractions, spread_ms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
@@ -40,7 +37,6 @@ LENIENT = (
 )
 #: Rows of a table as tuples of cells; the first row of a table is its header
 Rows = list[tuple[str, ...]]
-T = TypeVar("T")  # result of a function
 
 
 class Figure(NamedTuple):
@@ -133,17 +129,6 @@ def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
         except CommandError:
             log.show()
             raise
-
-
-def in_processes(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[T]:
-    """Return the results of a function for tuples of arguments, computed in new processes.
-
-    The processes have one thread each, so that CPU times are those of the function.
-    """
-    os.environ.update(SINGLE_THREADED)
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        return [each.result() for each in [pool.submit(work, *task) for task in tasks]]
 
 
 def cpu_share_figures(fraction: Mapping[str, Any], idle: str) -> list[Figure]:

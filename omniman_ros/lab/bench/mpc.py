@@ -8,7 +8,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -21,9 +21,9 @@ from omniman_ros.lab.bench.harness import (
     at_least,
     at_most,
     conclude,
-    in_processes,
 )
 from omniman_ros.lab.measurement import spread_ms
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import robot_parameters
 
@@ -195,7 +195,7 @@ def run(args: argparse.Namespace) -> int:
     effort = QUICK if args.quick else FULL if args.full else STANDARD
     robot_parameters(args.robot)  # a wrong name raises an error here, not in a child process
     try:
-        (measured,) = in_processes(measure, [(args.robot, effort)], 1)
+        (measured,) = Sweep(1).map(partial(measure, args.robot), [effort])
     except (RuntimeError, ImportError) as error:
         raise CommandError(f"the solvers cannot be measured: {error}") from error
     result = {"robot": args.robot, "quick": args.quick, **measured}

@@ -7,8 +7,8 @@ the tool is to be at that time. CPU times are of this process.
 """
 
 import argparse
-import os
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,6 @@ from omniman_ros.lab.bench.harness import (
     at_most,
     conclude,
     cycle_figures,
-    in_processes,
 )
 from omniman_ros.lab.reproduce.pipeline import draw_picture
 from omniman_ros.lab.studies.avoidance_scenes import (
@@ -38,6 +37,7 @@ from omniman_ros.lab.studies.avoidance_scenes import (
 from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture, ReactiveDriver
 from omniman_ros.lab.studies.body_judge import JudgedBody, judged
 from omniman_ros.lab.studies.body_loop import BodyDriver, BodyLoop
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
 
@@ -55,7 +55,10 @@ CPU_AIM = {"median": 10.0, "p99": 20.0, "max": 50.0}  #: Aims: largest CPU times
 SEARCH_AIM = 1.0  #: Aim: largest CPU time of a search for a way [s]
 
 
-def drive_scene(robot: str, kind: str, seed: int) -> dict[str, dict[str, Any]]:
+SceneFigures = dict[str, dict[str, Any]]  #: Figures of a scene by method
+
+
+def drive_scene(robot: str, kind: str, seed: int) -> SceneFigures:
     """Return the figures of a scene by method; empty where the seed has no scene."""
     generator = SceneGenerator(robot)
     scene = generator.scene(kind, seed)
@@ -82,13 +85,13 @@ def drive_scene(robot: str, kind: str, seed: int) -> dict[str, dict[str, Any]]:
     return found
 
 
-def drive_scenes(robot: str, kind: str, count: int, jobs: int) -> list[dict[str, dict[str, Any]]]:
+def drive_scenes(robot: str, kind: str, count: int, sweep: Sweep) -> list[SceneFigures]:
     """Return the figures of the first scenes of a kind by method; a few seeds have no scene."""
-    found: list[dict[str, dict[str, Any]]] = []
+    found = list[SceneFigures]()
     first = 0
     while (missing := count - len(found)) > 0:
-        tasks = [(robot, kind, seed) for seed in range(first, first + missing)]
-        found += filter(None, in_processes(drive_scene, tasks, jobs))
+        seeds = range(first, first + missing)
+        found += filter(None, sweep.collect(partial(drive_scene, robot, kind), seeds))
         first += missing
     return found
 
@@ -150,14 +153,14 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman bench whole_body_obstacles`; return 0, the exit code of a measurement."""
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
-    jobs, count = args.jobs or os.cpu_count() or 1, 1 if args.quick else args.scenes or SCENES
+    sweep, count = Sweep.of(args), 1 if args.quick else args.scenes or SCENES
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "groups": {}}
-    result["conditions"] = {"scenes_of_a_kind": count, "jobs": jobs, "wheels": WHEELS}
+    result["conditions"] = {"scenes_of_a_kind": count, "wheels": WHEELS, **sweep.conditions}
     for group, kinds in GROUPS.items():
         drives = []
         for kind in kinds:
             say(f"{group}: {kind} ...")
-            drives += drive_scenes(args.robot, kind, count, jobs)
+            drives += drive_scenes(args.robot, kind, count, sweep)
         found = {method: summary([drive[method] for drive in drives]) for method in METHODS}
         result["groups"][group] = found
     result["picture"] = draw_picture(

@@ -8,7 +8,6 @@ paper's.
 """
 
 import argparse
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -21,7 +20,7 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
-from omniman_ros.lab.reproduce.pipeline import Cell, Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Cell, Experiment, columns
 from omniman_ros.lab.studies.calibration import measure_roller_lag
 from omniman_ros.lab.studies.coupling import (
     GROUPS,
@@ -36,6 +35,7 @@ from omniman_ros.lab.studies.coupling import (
     drive,
 )
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.robots import robot_parameters
@@ -121,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         setup = replace(
             setup, world=world, roller_lag=measure_roller_lag(robot, world, extent.rotation)
         )
-    driven = in_parallel(partial(drive, setup), selected, os.cpu_count() or 1)
+    driven = Sweep.here().map(partial(drive, setup), selected)
     runs = experiment.collect(driven, len(selected))
     rows = summary(runs)
     result: dict[str, Any] = {

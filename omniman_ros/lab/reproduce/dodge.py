@@ -6,7 +6,6 @@ kept, with and without waiting for what is in the way.
 """
 
 import argparse
-import os
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.extras import WORLD
-from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.avoidance_scenes import (
     PERSON,
     POST,
@@ -27,6 +26,7 @@ from omniman_ros.lab.studies.avoidance_scenes import (
 from omniman_ros.lab.studies.body_drivers import AvoidingBody, FixedPosture
 from omniman_ros.lab.studies.body_judge import JudgedBody, judged
 from omniman_ros.lab.studies.body_loop import BodyDriver, BodyLoop
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     length = QUICK_LENGTH if args.quick else LENGTH
     methods = [AVOIDS] if args.quick else [AVOIDS, WAITS, KEEPS]
     experiment = Experiment(args, f"tool0 along {length:g} m past what stands and who walks")
-    driven = in_parallel(partial(drive, robot, length, args.seed), methods, os.cpu_count() or 1)
+    driven = Sweep.here().map(partial(drive, robot, length, args.seed), methods)
     drives = dict(zip(methods, experiment.collect(driven, len(methods)), strict=True))
     rows = [drive_row(name, each) for name, each in drives.items()]
     generator = SceneGenerator(robot)

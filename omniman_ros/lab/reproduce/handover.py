@@ -6,7 +6,6 @@ the physics world, the odometry of both is calibrated first, as neither sees wha
 
 import argparse
 import math
-import os
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
-from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.calibration import calibrate
 from omniman_ros.lab.studies.handover import (
     HANDOVER_WHEELS,
@@ -30,6 +29,7 @@ from omniman_ros.lab.studies.handover import (
 from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import rms
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import robot_parameters
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     )
     calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
     robot = {**robot, **calibration}
-    driven = in_parallel(partial(drive, robot, args.world), selected, os.cpu_count() or 1)
+    driven = Sweep.here().map(partial(drive, robot, args.world), selected)
     runs = experiment.collect(driven, len(selected))
     rows = [drive_row(each) for each in runs]
     passed = all(row["kept"] for row in rows if row["is_aim"])

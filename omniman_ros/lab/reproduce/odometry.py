@@ -6,15 +6,15 @@ coupling control and unknown.
 """
 
 import argparse
-import os
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.calibration import calibrate, measure_roller_lag
 from omniman_ros.lab.studies.odometry_drive import OdometryCase, drive_odometry
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.robots import robot_parameters
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         for sample in range(1 if args.quick else 5 if args.full else 2)
     ]
     one = partial(drive_odometry, {**robot, **calibration}, world, figure)
-    generator = in_parallel(one, selected, os.cpu_count() or 1)
+    generator = Sweep.here().map(one, selected)
     rows = experiment.collect(generator, len(selected))
     result = {
         "full": args.full,

@@ -1,11 +1,9 @@
-"""What all experiments share: drives in several processes, the report, and the result."""
+"""What all experiments share: their progress, the report, and the result."""
 
 import argparse
 import importlib
-import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -15,7 +13,6 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import say, table
 
 Item = TypeVar("Item")
-Result = TypeVar("Result")
 #: A column's cells: a format of a row's values, or a function of the row
 Cell = str | Callable[[Mapping[str, Any]], str]
 
@@ -27,26 +24,6 @@ def columns(rows: Iterable[Mapping[str, Any]], *layout: tuple[str, Cell]) -> lis
         each = (cell.format(**row) if isinstance(cell, str) else cell(row) for _, cell in layout)
         cells.append(tuple(each))
     return table(cells)
-
-
-def in_parallel(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int
-) -> Iterator[Result]:
-    """Yield the results of a function that can be pickled for items, in their order.
-
-    With one worker, the function runs in this process.
-    """
-    workers = min(workers, len(items))
-    if workers == 1:
-        yield from map(function, items)
-        return
-    # Each worker is a new interpreter: forking a process that may have threads is not safe.
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, mp_context=spawn)
-    try:
-        yield from pool.map(function, items)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def draw_picture(

@@ -5,19 +5,18 @@ contacts count as well, and the odometry is calibrated first: what it is off is 
 """
 
 import argparse
-import os
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.extras import PLANNING
-from omniman_ros.lab.measurement import SINGLE_THREADED
-from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.calibration import calibrate
 from omniman_ros.lab.studies.scene_generator import SceneError
 from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, aims, groups, summary
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import robot_parameters
 
@@ -36,9 +35,7 @@ def run(args: argparse.Namespace) -> int:
         0 if no aim was missed, else 1.
     """
     seeds = scene_seeds(args)
-    jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
-    if jobs < 1:
-        raise CommandError(f"--jobs must be 1 or more, got {jobs}", code=2)
+    sweep = Sweep.of(args)
     if args.solve_time is not None and not 0.0 <= args.solve_time <= 1.0:
         raise CommandError(f"--solve-time must be 0 to 1 s, got {args.solve_time:g}", code=2)
     if not PLANNING.is_available:
@@ -53,9 +50,7 @@ def run(args: argparse.Namespace) -> int:
     robot = robot_parameters(args.robot)
     calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
     settings = SceneRunSettings(args.robot, args.seed, args.solve_time, args.world, calibration)
-    if jobs > 1:
-        os.environ.update(SINGLE_THREADED)  # numerical libraries read these when they are loaded
-    driven = in_parallel(partial(drive_scene, settings), seeds, jobs)
+    driven = sweep.map(partial(drive_scene, settings), seeds)
     try:
         outcomes = experiment.collect(
             driven, len(seeds), lambda so_far: f", {sum(o.failed for o in so_far)} failed"

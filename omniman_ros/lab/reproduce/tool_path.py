@@ -5,7 +5,6 @@ the tracking error of the platform.
 """
 
 import argparse
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -15,7 +14,7 @@ import numpy as np
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
     MOST_DEMANDING,
@@ -27,6 +26,7 @@ from omniman_ros.lab.studies.tool_path import (
     rms,
 )
 from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -60,9 +60,7 @@ def run(args: argparse.Namespace) -> int:
         f"tool0 along paths of {length:g} m at {speed:g} m/s, platform and arm together: "
         f"{len(selected)} drives",
     )
-    driven = in_parallel(
-        partial(drive, dict(robot), length, args.world), selected, os.cpu_count() or 1
-    )
+    driven = Sweep.here().map(partial(drive, dict(robot), length, args.world), selected)
     runs = experiment.collect(driven, len(selected))
     rows = [drive_row(each) for each in runs]
     passed = all(row["kept"] for row in rows if row["correction"])

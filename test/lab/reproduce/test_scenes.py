@@ -25,6 +25,7 @@ from omniman_ros.lab.studies.scenes import (
     summary,
     true_robot,
 )
+from omniman_ros.lab.sweep import Sweep
 from omniman_ros.planning.cycle import PlannerState
 from test import robots
 from test.tiers import exhaustive
@@ -104,6 +105,7 @@ def args(tmp_path=None, **given):
         "full": False,
         "seeds": None,
         "jobs": 1,
+        "dask": None,
         "solve_time": None,
         "world": None,
         "results": str(tmp_path),
@@ -137,7 +139,7 @@ def test_seeds_are_selected_by_options(given, seeds):
     ],
 )
 def test_usage_error_is_reported(monkeypatch, given, said):
-    monkeypatch.setattr(scenes, "in_parallel", lambda *_: pytest.fail("drives"))
+    monkeypatch.setattr(Sweep, "map", lambda *_: pytest.fail("drives"))
     with pytest.raises(CommandError, match=said) as error:
         scenes.run(args(**given))
     assert error.value.code == 2
@@ -164,11 +166,11 @@ def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
 def command(monkeypatch, tmp_path, outcomes, **given):
     asked = []
 
-    def driven(function, seeds, jobs):
-        asked.append((*function.args, list(seeds), jobs))
+    def driven(sweep, function, seeds):
+        asked.append((*function.args, list(seeds), sweep.jobs))
         yield from outcomes
 
-    monkeypatch.setattr(scenes, "in_parallel", driven)
+    monkeypatch.setattr(Sweep, "map", driven)
     code = scenes.run(args(tmp_path, seeds=f"0:{len(outcomes)}", **given))
     return code, json.loads((tmp_path / "reproduce_scenes.json").read_text()), asked
 
@@ -208,7 +210,7 @@ def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
         raise SceneError("no scene was found for seed 9")
         yield
 
-    monkeypatch.setattr(scenes, "in_parallel", driven)
+    monkeypatch.setattr(Sweep, "map", driven)
     with pytest.raises(CommandError, match="seed 9"):
         scenes.run(args(tmp_path, seeds="0"))
 
