@@ -30,6 +30,7 @@ DISTRIBUTIONS = {
     "casadi": ("casadi", "casadi-pip"),
     "lark-parser": ("lark", "python3-lark-parser"),
     "scipy": ("scipy", "python3-scipy"),
+    "distributed": ("distributed", None),
     "mujoco-core": ("mujoco", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "pillow": ("PIL", "python3-pil"),
@@ -135,7 +136,8 @@ def test_the_wheels_of_rclpy_are_not_required(setup_py):
 def test_every_import_is_a_declared_dependency(package_xml, setup_py):
     declared = {depend.name for depend in package_xml.exec_depends}
     extras = setup_py["arguments"]["extras_require"]
-    optional = [*extras["record"], *extras["plot"], *extras["viewer"], *extras["world"]]
+    named = ("record", "plot", "viewer", "world", "cluster")
+    optional = [distribution for name in named for distribution in extras[name]]
     for distribution in [*setup_py["arguments"]["install_requires"], *optional]:
         declared.add(DISTRIBUTIONS[distribution.partition("==")[0]][0])
     for source in [*SOURCES, *ROOT.glob("config/launch/*.py")]:
