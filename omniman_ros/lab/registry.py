@@ -227,6 +227,13 @@ EXPERIMENTS = {
             SEED,
             WORLD,
             option("--seeds", metavar="A:B", help="seeds A to B - 1, or one; default: 0:240"),
+            option(
+                "--sense",
+                choices=("markers", "scanner"),
+                default="markers",
+                help="obstacles by noisy markers, or by two laser scanners in the physics world "
+                "(--world ideal, unless it is given); default: %(default)s",
+            ),
             *SWEEP,
             option(
                 "--solve-time",

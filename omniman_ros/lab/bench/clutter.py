@@ -22,7 +22,6 @@ import numpy as np
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.control.platform_parameters import PlatformParameters
-from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
@@ -36,9 +35,9 @@ from omniman_ros.lab.bench.harness import (
     cycle_figures,
     spread_text,
 )
-from omniman_ros.lab.bench.scans import new_tracker, scan_of
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
+from omniman_ros.lab.studies.scanned_surroundings import ScannedSurroundings
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.sweep import Sweep
 from omniman_ros.planning.goals import PoseGoal
@@ -72,7 +71,6 @@ SPARE = 0.06  #: by how much the passage is wider than what the robot needs in a
 WALL = 0.1  #: thickness of the walls [m]
 EDGE = 0.1  #: edge of a cell of the search for the shortest path [m]
 RESOLUTION = 0.05  #: edge of a cell of the known map [m]
-SCAN_PERIOD, MAP_PERIOD = 0.05, 0.2  #: of the scans, and of the map made of them [s]
 TRACK_LIFETIME = 0.5  #: time for which what moves is remembered without another observation [s]
 JACKAL_SIZE: dict[str, Any] = {
     "wheels.x": [0.131, 0.131, -0.131, -0.131],
@@ -171,40 +169,35 @@ class ScannerSenses:
     """Obstacles and map of a planner by one laser scanner of 270 degrees, 720 beams and 10 m."""
 
     def __init__(self, robot: Platform, seed: int) -> None:
-        from omniman_ros.simulation.world.scanner import Scanner  # needs the engine
-
-        mounting = ScannerParameters(
+        self._mounting = ScannerParameters(
             x=0.4 * robot.body.length,
             field_of_view=1.5 * math.pi,
             range_max=10.0,
             noise=0.01,
             sees_robot=False,
         )
-        self._tracker = new_tracker()
-        self._make = lambda world: Scanner(world, mounting, seed)
-        self._scanner: Any = None
-        self._next_scan = self._next_map = -math.inf
+        self._seed = seed
+        self._scanned: ScannedSurroundings | None = None
 
     def add_pose(self, loop: MpcLoop) -> None:
         """Pass the odometry of the latest tick on."""
+        world = loop.loop.world
+        assert world is not None
+        if self._scanned is None:
+            self._scanned = ScannedSurroundings(world, [self._mounting], self._seed)
         measured = loop.measured()
-        velocity = se2.to_world(float(measured.pose[2]), measured.twist)
-        self._tracker.add_pose(measured.time, measured.pose, velocity)
+        self._scanned.add_pose(measured.time, measured.pose, measured.twist)
 
     def observe(self, loop: MpcLoop) -> None:
         """Scan if it is time to, and tell the planner what was seen."""
-        now = loop.now
-        if now < self._next_scan - 1e-9:
-            return
-        self._next_scan = now + SCAN_PERIOD
         self.add_pose(loop)
-        self._scanner = self._scanner or self._make(loop.loop.world)
-        scan = scan_of(self._scanner, loop.measured().time)
-        self._tracker.add_scan(scan, loop.planner.footprint)
-        for thing in self._tracker.obstacles(scan.end):
-            seen = Observation(
+        assert self._scanned is not None
+        time = loop.measured().time
+        seen = self._scanned.scan(time, loop.planner.footprint)
+        for thing in seen or ():
+            observation = Observation(
                 key=("tracker", thing.number),
-                time=scan.end,
+                time=time,
                 x=thing.center[0],
                 y=thing.center[1],
                 angle=0.0,
@@ -213,12 +206,11 @@ class ScannerSenses:
                 velocity=thing.velocity,
                 velocity_deviation=math.sqrt(thing.covariance[2]),
             )
-            loop.observed.add(seen, now)
-        if now >= self._next_map - 1e-9:
-            self._next_map = now + MAP_PERIOD
-            cells, grid = self._tracker.occupancy(), self._tracker.map
-            origin = np.append(grid.origin, 0.0)
-            seen_map = OccupancyMap(cells, grid.resolution, origin)
+            loop.observed.add(observation, loop.now)
+        if seen is not None and self._scanned.is_map_due(time):
+            tracker = self._scanned.tracker
+            origin = np.append(tracker.map.origin, 0.0)
+            seen_map = OccupancyMap(tracker.occupancy(), tracker.map.resolution, origin)
             loop.planner.set_map(GridMap.of_occupancy(seen_map))
 
 

@@ -30,9 +30,9 @@ from omniman_ros.lab.bench.harness import (
     conclude,
     spread_text,
 )
-from omniman_ros.lab.bench.scans import new_tracker, scan_of
 from omniman_ros.lab.bench.tracking_judge import TrackingJudge
 from omniman_ros.lab.measurement import spread_ms
+from omniman_ros.lab.studies.scanned_surroundings import new_tracker, scan_of
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters

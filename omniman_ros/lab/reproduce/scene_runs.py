@@ -32,7 +32,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.conversions.maps import map_message
 from omniman_ros.conversions.odometry import fill_odometry
+from omniman_ros.conversions.tracks import track_markers
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY
 from omniman_ros.core.arbiter import Source
@@ -41,6 +43,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.platform import Platform
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.lab.studies.scanned_surroundings import ScannedSurroundings
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
 from omniman_ros.lab.studies.scenes import (
     TIME_LIMIT,
@@ -50,12 +53,13 @@ from omniman_ros.lab.studies.scenes import (
     judge_drive,
     true_robot,
 )
-from omniman_ros.lab.studies.worlds import obstacle_name, place_obstacles, scene_world
+from omniman_ros.lab.studies.worlds import HEIGHT, obstacle_name, place_obstacles, scene_world
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import robot_parameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 
 EPOCH = 1000.0  #: ROS time at which the simulation starts [s]; a stamp of 0 is the present time
 ODOM_EVERY = 2  #: number of ticks of the plant per message on `odom`, which results in 100 Hz
@@ -65,6 +69,9 @@ MARKER_NOISE = 0.01  #: standard deviation of a marker's x and y [m]
 MARKER_PERIOD = (0.04, 0.12)  #: range of the random time between two messages on `obstacles` [s]
 MARKER_DELAY = (0.005, 0.03)  #: range of the random delay of an observation's arrival [s]
 GOAL_TIME = 0.25  #: time at which the goal is sent, after a few observations [s]
+TRACK_LIFETIME = 0.5  #: lifetime of what the scanners see [s]
+CORNER = 0.45  #: place of the scanners, over the platform's length and width [-]
+SCANNED_RANGE = 10.0  #: range of the scanners [m]
 #: Posture of the arm, if the robot has one, in which it is above the platform [rad]
 UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
 IDLE_TIMEOUT = 1.0  #: time after which a drive ends if the planner has no goal [s]
@@ -114,6 +121,7 @@ class SceneRunSettings:
     solve_time: float | None = None  #: assumed for each answer [s]; None: the CPU time it takes
     wheels: str | None = None  #: kind of wheels in the physics world; None for the plant
     calibration: Mapping[str, float] = field(default_factory=dict)  #: of odometry, names to values
+    by_scanner: bool = False  #: whether two laser scanners in the world see what is around
 
 
 class NodeLoop:
@@ -148,6 +156,13 @@ class NodeLoop:
         self._inbox: list[tuple[float, str, Any]] = []
         self._outbox: list[tuple[float, MultiDOFJointTrajectory]] = []
         self._next_observation = 0.0
+        self._scanned: ScannedSurroundings | None = None
+        self._reported: set[int] = set()
+        if settings.by_scanner:
+            assert self.loop.world is not None
+            seed = random_scene.seed + settings.seed
+            scanners = corner_scanners(self.node.settings.value.core.robot)
+            self._scanned = ScannedSurroundings(self.loop.world, scanners, seed)
         self._source = self._health = ""
         self.times: list[float] = []
         self.poses: list[Array] = []  # true poses (3,) in odom [m, m, rad]
@@ -217,7 +232,10 @@ class NodeLoop:
         self.poses.append(self.loop.truth.copy())
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         self._send_controller_state()
-        self._send_obstacles()
+        if self._scanned is None:
+            self._send_obstacles()
+        else:
+            self._send_scanned(self._scanned)
         if self.now >= self._busy_until - 1e-9:
             self._run_callbacks()
 
@@ -325,6 +343,9 @@ class NodeLoop:
                 _stamp(core.feedback.time),
             )
             self._send("odom", message)
+            if self._scanned is not None:
+                pose, twist = np.array(odometry.pose) + noise[:3], odometry.twist + noise[3:]
+                self._scanned.add_pose(core.feedback.time, pose, twist)
         source = core.arbiter.active
         active = source.value if source else "none" if core.latch.released else "stop"
         if active != self._source:
@@ -352,6 +373,41 @@ class NodeLoop:
             marker.scale.x, marker.scale.y = (2.0 * axis for axis in obstacle.semi_axes)
             message.markers.append(marker)
         self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
+
+    def _send_scanned(self, scanned: ScannedSurroundings) -> None:
+        """Send what the scanners see, as `obstacle_tracker` does, and with a random delay."""
+        time = self.loop.controller.feedback.time
+        obstacles = scanned.scan(time, self.node.core.footprint)
+        if obstacles is None:
+            return
+        delay, stamp = float(self._random.uniform(*MARKER_DELAY)), _stamp(time)
+        present = {obstacle.number for obstacle in obstacles}
+        gone, self._reported = sorted(self._reported - present), present
+        message = track_markers(
+            obstacles, gone, "odom", stamp, lifetime=TRACK_LIFETIME, height=HEIGHT
+        )
+        self._send("obstacles", message, delay)
+        if scanned.is_map_due(time):
+            grid, cells = scanned.tracker.map, scanned.tracker.occupancy()
+            known = map_message(cells, grid.resolution, grid.origin, "odom", stamp)
+            self._send("map", known, delay)
+
+
+def corner_scanners(robot: Platform) -> list[ScannerParameters]:
+    """Return two scanners at opposite corners of the platform, which see all sides."""
+    x, y = CORNER * robot.body.length, CORNER * robot.body.width
+    return [
+        ScannerParameters(
+            x=side * x,
+            y=side * y,
+            yaw=math.atan2(side, side),
+            field_of_view=1.5 * math.pi,
+            range_max=SCANNED_RANGE,
+            noise=MARKER_NOISE,
+            sees_robot=False,
+        )
+        for side in (1.0, -1.0)
+    ]
 
 
 def _closed_loop(random_scene: RandomScene, settings: SceneRunSettings) -> ClosedLoop:

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from omniman_ros.console.errors import CommandError
-from omniman_ros.extras import PLANNING
+from omniman_ros.extras import PLANNING, TRACKING, WORLD
 from omniman_ros.lab.reproduce.pipeline import Experiment, columns
 from omniman_ros.lab.studies.calibration import calibrate
 from omniman_ros.lab.studies.scene_generator import SceneError
@@ -19,7 +19,9 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.sweep import Sweep
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import robot_parameters
+from omniman_ros.simulation.world.parameters import IDEAL
 
+SCANNER = "scanner"  #: value of `--sense`
 COUNT, QUICK, FULL = 240, 8, 1000  #: numbers of scenes
 AIMS = {
     "contacts": ("drives with a contact", "0"),
@@ -38,18 +40,23 @@ def run(args: argparse.Namespace) -> int:
     sweep = Sweep.of(args)
     if args.solve_time is not None and not 0.0 <= args.solve_time <= 1.0:
         raise CommandError(f"--solve-time must be 0 to 1 s, got {args.solve_time:g}", code=2)
-    if not PLANNING.is_available:
-        raise CommandError(PLANNING.hint)
+    if args.sense == SCANNER:
+        args.world = args.world or IDEAL
+    for extra in (PLANNING, TRACKING, WORLD) if args.sense == SCANNER else (PLANNING,):
+        if not extra.is_available:
+            raise CommandError(extra.hint)
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings, drive_scene  # needs rclpy
 
     experiment = Experiment(
         args,
         f"{len(seeds)} random scenes, at most {TIME_LIMIT:g} s each, the planner's node with "
-        "noisy odometry and noisy obstacle positions",
+        f"noisy odometry, obstacles by {args.sense}",
     )
     robot = robot_parameters(args.robot)
     calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
-    settings = SceneRunSettings(args.robot, args.seed, args.solve_time, args.world, calibration)
+    settings = SceneRunSettings(
+        args.robot, args.seed, args.solve_time, args.world, calibration, args.sense == SCANNER
+    )
     driven = sweep.map(partial(drive_scene, settings), seeds)
     try:
         outcomes = experiment.collect(
@@ -60,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError(str(error)) from error
     met = aims(summary(outcomes))
     result = {
+        "sense": args.sense,
         "solve_time_s": args.solve_time,
         "limit_s": TIME_LIMIT,
         "groups": {name: summary(members) for name, members in groups(outcomes).items()},

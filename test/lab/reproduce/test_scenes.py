@@ -106,6 +106,7 @@ def args(tmp_path=None, **given):
         "seeds": None,
         "jobs": 1,
         "dask": None,
+        "sense": "markers",
         "solve_time": None,
         "world": None,
         "results": str(tmp_path),
@@ -232,6 +233,22 @@ def test_in_the_world_a_contact_by_the_engine_counts(loop_in):
     assert not judge_drive(there, drive, box).verdict.collided
     verdict = judge_drive(there, replace(drive, touched=(0.2, 0)), box).verdict
     assert (verdict.contact, verdict.touched) == (0.2, 0)
+
+
+@IN_WORLD
+def test_scanners_take_the_place_of_markers(loop_in):
+    pytest.importorskip("scipy")
+    walker = Ellipse((0.25, 0.25), PolylineMotion.straight((3.0, 1.5), (0.0, -0.8)))
+    loop = loop_in(made(STANDING, walker), wheels="ideal", by_scanner=True)
+    while loop.now < 1.5:
+        loop.step()
+    seen = loop.node.sensors.obstacles.ellipses()
+    (center,), (velocity,) = seen.centers, seen.velocities
+    assert center == pytest.approx((3.0, 1.5 - 0.8 * loop.now), abs=0.1)
+    assert velocity == pytest.approx((0.0, -0.8), abs=0.15)
+    standing, _ = loop.node.core.grid.obstacles()
+    off = np.hypot(*(standing - (1.5, 1.2)).T)
+    assert len(off) > 3 and (np.abs(off - 0.2) < 0.1).all()
 
 
 # ---- what decides the aims ----------------------------------------------------------------------
