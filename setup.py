@@ -31,7 +31,7 @@ EXECUTABLES = {
     "simulated_ur": "omniman_ros.nodes.simulated_ur:main",
     "arm_streamer": "omniman_ros.nodes.arm_streamer:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator.node:main",
-    "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
+    "mpc_planner": "omniman_ros.nodes.mpc_planner.node:main",
     "whole_body_planner": "omniman_ros.nodes.whole_body_planner.node:main",
     "joint_states_merger": "omniman_ros.nodes.joint_states_merger:main",
     "odometry": "omniman_ros.nodes.odometry:main",

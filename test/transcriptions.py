@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from omniman_ros.nodes.planner_interfaces import compiled_functions
+from omniman_ros.nodes.mpc_planner import compiled_functions
 from omniman_ros.planning import plan_optimizer
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import Transcription

@@ -21,21 +21,18 @@ from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.motion_limits import demanded_motion, motion_limit_message
 from omniman_ros.conversions.unseen import arrivals_from_message
 from omniman_ros.conversions.wheels import reported_limit_scales
-from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.map_interface import MapInterface
-from omniman_ros.nodes.obstacle_interface import ObstacleInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.robot_streams import ArmFeed, OdomFeed
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.surroundings.grid_map import GridMap
 
 JOINT_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
@@ -118,10 +115,10 @@ class CollisionMonitorInputs:
         self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame)
         self._arm = ArmFeed(node, self._joints)
         frames = FrameTransforms(node, lambda: settings.value.frames)
-        self._watch = SourceWatch(node, frames)
-        self._obstacles = ObstacleInterface(node, frames, p.obstacles, self._watch)
         self._map = UprightObstacles.join([])
-        self._grid = MapInterface(node, frames, p.map_reading.rule, self._use_map, self._watch)
+        self._surroundings = SurroundingsInterface(
+            node, frames, p.obstacles, p.map_reading, self._use_map
+        )
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
         for kind, topic, handler, qos in (
@@ -132,8 +129,7 @@ class CollisionMonitorInputs:
 
     def configure(self, new: CollisionMonitorParameters) -> None:
         """Use other parameters."""
-        self._obstacles.configure(new.obstacles)
-        self._grid.configure(new.map_reading.rule)
+        self._surroundings.configure(new.obstacles, new.map_reading)
 
     def _use_map(self, grid: GridMap) -> None:
         self._map = grid_obstacles(grid)
@@ -163,19 +159,18 @@ class CollisionMonitorInputs:
             faults.append(f"odom is {self._odom.age:.2f} s old")
         if self.sees_arm and self._arm.age > timeout:
             faults.append(f"arm/joint_states are {self._arm.age:.2f} s old")
-        blind = self._watch.blind_reason()
+        blind = self._surroundings.blind_reason()
         return [*faults, blind] if blind else faults
 
     def robot(self) -> RobotMotion | None:
         """Return where the robot is and how it moves, as last measured; None without odometry."""
         if self._odom.pose is None:
             return None
-        twist = se2.to_robot(self._odom.pose[2], self._odom.velocity)
         position = rates = np.zeros(JOINTS)
         state = self._arm.state() if self._has_arm else None
         if state is not None:
             position, rates = state
-        return RobotMotion(np.array(self._odom.pose), position, np.append(twist, rates))
+        return RobotMotion(np.array(self._odom.pose), position, np.append(self._odom.twist, rates))
 
     def demands(self) -> list[Array]:
         """Return the motions (9,) that sources ask for now."""
@@ -185,16 +180,15 @@ class CollisionMonitorInputs:
     def surroundings(self) -> MovingObstacles:
         """Return the obstacles as they are predicted for now, and then the map."""
         if self._odom.pose is not None:
-            x, y, theta = self._odom.pose
-            self._grid.update((x, y, theta))
-        ellipses = self._obstacles.ellipses()
+            self._surroundings.update_map(self._odom.pose)
+        ellipses = self._surroundings.obstacles.ellipses()
         return MovingObstacles.join(
             [ellipse_surroundings(ellipses), MovingObstacles.standing(self._map)]
         )
 
     def label(self, obstacle: int) -> str:
         """Return what one of the surroundings is called."""
-        keys = self._obstacles.keys
+        keys = self._surroundings.obstacles.keys
         if obstacle >= len(keys):
             return MAP
         namespace, number = keys[obstacle]

@@ -20,7 +20,7 @@ NODES = {
     "simulated_can_drives": "nodes.simulated_can_drives_parameters.SimulatedCanDrivesParameters",
     "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
     "path_interpolator": "nodes.path_interpolator.parameters.PathInterpolatorParameters",
-    "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
+    "mpc_planner": "nodes.mpc_planner.parameters.MpcPlannerParameters",
     "whole_body_planner": "nodes.whole_body_planner.parameters.WholeBodyPlannerParameters",
     "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
     "collision_monitor": "nodes.collision_monitor_parameters.CollisionMonitorParameters",

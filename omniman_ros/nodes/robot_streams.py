@@ -69,6 +69,7 @@ class OdomFeed(_Feed):
 
     Attributes:
         pose: Pose (x, y, theta) of base_link in odom [m, m, rad]; None before the first message.
+        twist: (3,) velocity in the robot's frame [m/s, m/s, rad/s].
         velocity: (3,) rate of the pose, in odom [m/s, m/s, rad/s].
     """
 
@@ -82,6 +83,7 @@ class OdomFeed(_Feed):
         super().__init__(node)
         self._frame, self._on_pose = frame, on_pose
         self.pose: tuple[float, float, float] | None = None
+        self.twist: Array = np.zeros(3)
         self.velocity: Array = np.zeros(3)
         node.create_subscription(Odometry, topic, node.guarded(topic, self._on_odom), 1)
 
@@ -94,7 +96,7 @@ class OdomFeed(_Feed):
         self.time = min(instant, now)
         self.silence = now - self.time
         self.pose = (position.x, position.y, theta)
-        self.velocity = se2.to_world(theta, twist)
+        self.twist, self.velocity = twist, se2.to_world(theta, twist)
         self._on_pose(np.array(self.pose), self.time)
 
     def blocking_reason(self, timeout: float) -> str:

@@ -13,7 +13,7 @@ from omniman_ros.core.parameters import build, inline, specs
 from omniman_ros.core.validated import Validated
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nav2.configuration import Nav2Configuration
-from omniman_ros.nodes.planner_interfaces.parameters import FootprintOptions
+from omniman_ros.nodes.mpc_planner.parameters import FootprintOptions
 from omniman_ros.processes.checked_parameters import robot_values
 from omniman_ros.share import share_path
 from omniman_ros.yaml_files import read_yaml

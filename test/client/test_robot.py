@@ -346,7 +346,7 @@ def test_a_motion_is_lost_when_its_node_ends():
 
 
 def test_an_obstacle_is_seen_where_it_moves_to_until_it_is_removed(world):
-    obstacles = world.node.sensors.obstacles
+    obstacles = world.node.inputs.surroundings.obstacles
     with client_of(world) as robot:
         robot.add_obstacle("cart", 3.0, 1.0, 0.25, velocity=(0.1, 0.0))
         robot.add_obstacle("post", 4.0, 1.0, 0.25)

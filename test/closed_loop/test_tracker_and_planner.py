@@ -8,7 +8,7 @@ import pytest
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.parameters import build
-from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
+from omniman_ros.nodes.mpc_planner.parameters import MpcPlannerParameters
 from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 from omniman_ros.perception.parameters import MapParameters, TrackerParameters
 from omniman_ros.perception.scan import Scan

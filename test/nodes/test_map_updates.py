@@ -8,7 +8,7 @@ from rclpy.parameter import Parameter
 
 from omniman_ros.nodes import map_messages
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.mpc_planner.node import MpcPlannerNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.harness import World
 from test.nodes.maps import updates_installed
@@ -19,7 +19,7 @@ ROWS, COLUMNS = 20, 30
 
 def occupied(node):
     """Return the cells of a monitor's map that are occupied."""
-    return node.inputs._grid._grid.occupied
+    return node.inputs._surroundings._map._grid.occupied
 
 
 def around(t, pose):

@@ -23,7 +23,7 @@ from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core import se2
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.mpc_planner.node import MpcPlannerNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -235,7 +235,7 @@ class PlannerWithRealController(PlannerWorld):
         )
         self.controller, self.drive = self.nodes[1:3]
         self.sources = self.listen(String, "active_source", LATCHED)
-        self.run_until(lambda: self.node.sensors.measured is not None, 2.0, "odom")
+        self.run_until(lambda: self.node.inputs.measured is not None, 2.0, "odom")
         self.run_until(lambda: self.node._monitor.source == "none", 2.0, "active_source")
 
     def true_pose(self) -> np.ndarray:
@@ -489,7 +489,7 @@ ODD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("odd", "why"), ODD.values(), ids=ODD)
 def test_invalid_odometry_is_ignored(odd, why):
     with PlannerWithFakeController(source="") as world:
-        world.node.sensors.measured = None  # as if this were the first message
+        world.node.inputs.measured = None  # as if this were the first message
         world.odometry = lambda: odd_odom(world, **odd)
         world.publish_source("none")
         world.run(0.05)

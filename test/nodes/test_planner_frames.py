@@ -136,7 +136,7 @@ def test_obstacles_and_maps_in_map_move_with_it_and_do_not_seem_to_drive():
                 )
             world.markers.publish(MarkerArray(markers=[marker(x, y, frame="map")]))
             world.run(0.05)
-        found = world.node.sensors.obstacles.ellipses()
+        found = world.node.inputs.surroundings.obstacles.ellipses()
         assert found.centers[0] == pytest.approx([3.2, 2.0], abs=1e-6)
         assert np.hypot(*found.velocities[0]) < 1e-6
         assert world.core.grid.origin == pytest.approx([-1.8, 1.0, 0.0], abs=1e-6)

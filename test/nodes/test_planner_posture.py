@@ -9,13 +9,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.nodes.planner_interfaces.sensor_interface import (
+from omniman_ros.nodes.mpc_planner.inputs import (
     ArmConfigurationInterface,
     ArmConfigurationSource,
 )
+from omniman_ros.nodes.mpc_planner.parameters import MpcPlannerParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
 from test.nodes.harness import World
 
 STRETCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -17,7 +17,7 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
-from omniman_ros.nodes.planner_interfaces.compiled_functions import (
+from omniman_ros.nodes.mpc_planner.compiled_functions import (
     CompiledFunctions,
     default_folder,
 )

@@ -54,7 +54,7 @@ from omniman_ros.lab.studies.scenes import (
     true_robot,
 )
 from omniman_ros.lab.studies.worlds import HEIGHT, obstacle_name, place_obstacles, scene_world
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.mpc_planner.node import MpcPlannerNode
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import robot_parameters

@@ -16,7 +16,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
 from omniman_ros.nodes.path_interpolator.tool import BodyInterface, in_background
-from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
+from omniman_ros.nodes.whole_body_planner.named_surroundings import NamedSurroundings
 from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import BodySetup
@@ -45,7 +45,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         self,
         motions: MotionCoordinator[WholeBodyPlannerParameters],
         core: "AvoidanceMotion",
-        surroundings: SurroundingsInterface,
+        surroundings: NamedSurroundings,
     ) -> None:
         super().__init__(motions, core, MotionInput.TOOL_PATH)
         self._surroundings = surroundings
@@ -68,7 +68,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         from omniman_ros.planning.whole_body.task import WholeBodyTask
 
         setup, now = self._setup(), self._motions.time_base.now()
-        around = self._surroundings.obstacle_snapshot()
+        around = self._surroundings.snapshot()
         return lambda: WholeBodyTask(setup, poses, start, now, around)
 
     def goal_planner(self, poses: Array, start: Array) -> "Callable[[], BodyTask]":
@@ -76,7 +76,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         from omniman_ros.planning.whole_body.tool_goal import tool_goal_task
 
         setup, now = self._setup(), self._motions.time_base.now()
-        around = self._surroundings.obstacle_snapshot()
+        around = self._surroundings.snapshot()
         return lambda: tool_goal_task(setup, poses[-1], start, now, around)
 
     def joint_planner(self, goal: Array, start: Array) -> "Callable[[], BodyTask]":
@@ -84,7 +84,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         from omniman_ros.planning.whole_body.joint_goal import JointGoalTask
 
         setup, now = self._setup(), self._motions.time_base.now()
-        around = self._surroundings.obstacle_snapshot()
+        around = self._surroundings.snapshot()
         return lambda: JointGoalTask(setup, goal, start, now, around)
 
     def hold_planner(self, start: Array) -> "Callable[[], BodyTask]":
@@ -96,7 +96,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
 
     def expect_path(self) -> None:
         """Prepare for a path of the tool; see the base class."""
-        self._surroundings.dismiss_silent_source()
+        self._surroundings.obstacles.dismiss_silent_source()
 
     def _setup(self) -> BodySetup:
         p = self._motions.options
@@ -122,7 +122,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
     @property
     def max_pace(self) -> float:
         """Highest pace, 0 to 1; the robot stands while it does not know what is around it."""
-        return 0.0 if not self.idle and self._surroundings.silence_reason() else super().max_pace
+        return 0.0 if not self.idle and self._surroundings.blind_reason() else super().max_pace
 
     def _planned(self, times: Array) -> tuple[Array, Array, Array]:
         return self.core.planned(times)
@@ -175,7 +175,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         """Return why the robot waits on its path, or an empty string."""
         if self.waiting_time() < BLOCKED:
             return ""
-        if silence := self._surroundings.silence_reason():
+        if silence := self._surroundings.blind_reason():
             return silence
         return str(self._watch.no_path or self.obstruction or "the robot is slowed down")
 
@@ -183,7 +183,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
         """Choose the motion for the next cycle, and give up if there is no way on."""
         begin, time_base = self._node.now(), self._motions.time_base
         now, pace = time_base.now(), time_base.pace
-        around = self._surroundings.obstacle_snapshot()
+        around = self._surroundings.snapshot()
         ahead = self._motions.options.horizon
         outcome = self.core.cycle(now, pace.rate(begin), around, self._delay, ahead)
         if outcome is None:  # paused, braking or at its end: no progress is expected
@@ -199,7 +199,7 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
             self._watch.excuse(begin)
             return
         is_held = pace.target == 0.0
-        is_excused = is_held and not self._surroundings.silence_reason()
+        is_excused = is_held and not self._surroundings.blind_reason()
         place = self.core.path_parameter(now)
         self._watch.note(begin, place, is_held=is_held, is_excused=is_excused)
         self._search_if_blocked(begin, now)
@@ -223,9 +223,9 @@ class AvoidanceInterface(BodyInterface["BodyTask"]):
                 self._node.get_logger().error(f"search failed: {type(error).__name__}: {error}")
         is_obstructed = self._found is not None and self._found.cause is Cause.STANDING
         if self._watch.is_search_due(now, is_obstructed=is_obstructed):
-            task, around = self.core.task, self._surroundings.obstacle_snapshot()
+            task, around = self.core.task, self._surroundings.snapshot()
             self._search = in_background(lambda: task.search(motion_time, around))
 
     def blocking_reason(self) -> str:
         """Return why no path can start yet, or an empty string."""
-        return self._surroundings.silence_reason() or super().blocking_reason()
+        return self._surroundings.blind_reason() or super().blocking_reason()

@@ -17,9 +17,9 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
 from omniman_ros.nodes.path_interpolator.node import TrajectoryAction, serve_actions
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.nodes.whole_body_planner.avoidance import AvoidanceInterface
 from omniman_ros.nodes.whole_body_planner.joint_goals import JointGoalInterface
+from omniman_ros.nodes.whole_body_planner.named_surroundings import NamedSurroundings
 from omniman_ros.nodes.whole_body_planner.parameters import WholeBodyPlannerParameters
 from omniman_ros.nodes.whole_body_planner.tool_tasks import (
     ToolGoalExecutor,
@@ -47,7 +47,7 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
         p = settings.value
         motion = AvoidanceMotion(WholeBodyLimits.of_whole_body(p.core, p.arm))
         super().__init__(node, settings, (motion,), SOURCE, period)
-        self.surroundings = SurroundingsInterface(node, self.frames, p.surroundings)
+        self.surroundings = NamedSurroundings(node, self.frames, p.surroundings)
         self.whole_body = AvoidanceInterface(self, motion, self.surroundings)
         self.interfaces = (self.whole_body,)
         self.tool = ToolTaskInterface(self, self.whole_body)
@@ -58,7 +58,7 @@ class BodyCoordinator(MotionCoordinator[WholeBodyPlannerParameters]):
     def configure(self, new: WholeBodyPlannerParameters) -> None:
         """Set new parameters, which apply from the next path on."""
         self.whole_body.configure(new)
-        self.surroundings.configure(new.surroundings)
+        self.surroundings.configure(new.surroundings.obstacles, new.surroundings.map_reading)
         self.configure_streams(new)
 
     def scale_limits(self, scale: float) -> None:
@@ -143,7 +143,7 @@ class WholeBodyPlannerNode(OmnimanNode):
             ("waits", waits),
             *status_values(None if body.idle else body.obstruction),
             ("cycle_ms", round(1e3 * body.cycle_time, 2)),
-            ("obstacles", len(motions.surroundings)),
+            ("obstacles", len(motions.surroundings.obstacles)),
             ("speed_scaling", round(motions.scaling.value, 4)),
             ("body_event", body.log.event.value),
             ("body_last", body.log.text),

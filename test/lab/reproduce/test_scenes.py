@@ -242,7 +242,7 @@ def test_scanners_take_the_place_of_markers(loop_in):
     loop = loop_in(made(STANDING, walker), wheels="ideal", by_scanner=True)
     while loop.now < 1.5:
         loop.step()
-    seen = loop.node.sensors.obstacles.ellipses()
+    seen = loop.node.inputs.surroundings.obstacles.ellipses()
     (center,), (velocity,) = seen.centers, seen.velocities
     assert center == pytest.approx((3.0, 1.5 - 0.8 * loop.now), abs=0.1)
     assert velocity == pytest.approx((0.0, -0.8), abs=0.15)

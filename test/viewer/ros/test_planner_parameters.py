@@ -6,7 +6,7 @@ import pytest
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.mpc_planner.node import MpcPlannerNode
 from omniman_ros.viewer.events import ParameterChanged
 from omniman_ros.viewer.ros.planner_parameters import PARAMETER_NAMES
 from test.viewer.ros.fake_page import post, until, view

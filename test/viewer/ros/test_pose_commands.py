@@ -10,7 +10,7 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import String
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.mpc_planner.node import MpcPlannerNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED

@@ -5,14 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import Odometry
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.conversions.arm import joint_preview
-from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
-from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
@@ -21,14 +18,13 @@ from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.arm_states import TOPIC as STATES
 from omniman_ros.nodes.arm_states import ArmStatesReader
 from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.map_interface import MapInterface
-from omniman_ros.nodes.obstacle_interface import ObstacleInterface
+from omniman_ros.nodes.mpc_planner.parameters import MpcPlannerParameters, body_outline
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
+from omniman_ros.nodes.robot_streams import OdomFeed
 from omniman_ros.nodes.serialized import deserialized
-from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.planning.cycle import MeasuredState
 
 if TYPE_CHECKING:  # needs casadi, which is optional
@@ -145,8 +141,13 @@ class ArmConfigurationInterface:
             self._expected = None
 
 
-class SensorInterface:
-    """Subscribes to `odom`, `obstacles`, `map` and `wheel_health`."""
+class PlannerInputs:
+    """Subscribes to `odom`, `obstacles`, `map` and `wheel_health`.
+
+    Attributes:
+        measured: Last measured state of the robot; None before the first.
+        surroundings: What is around it.
+    """
 
     def __init__(
         self,
@@ -160,20 +161,17 @@ class SensorInterface:
         self._planner, self._monitor = planner, monitor
         self.measured: MeasuredState | None = None
         self._limit_scales = LimitScales()
-        self._watch = SourceWatch(node, frames)
         p = settings.value
-        self.obstacles = ObstacleInterface(node, frames, p.core.obstacles, self._watch)
-        self._map = MapInterface(node, frames, p.map_reading.rule, planner.set_map, self._watch)
-        for kind, topic, handler, qos in (
-            (Odometry, "odom", self._on_odom, 1),
-            (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
-        ):
-            node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
+        self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame, self._on_pose)
+        self.surroundings = SurroundingsInterface(
+            node, frames, p.core.obstacles, p.map_reading, planner.set_map
+        )
+        handler = node.guarded("wheel_health", self._on_health)
+        node.create_subscription(DiagnosticStatus, "wheel_health", handler, LATCHED)
 
     def configure(self, new: MpcPlannerParameters) -> None:
         """Use other parameters."""
-        self.obstacles.configure(new.core.obstacles)
-        self._map.configure(new.map_reading.rule)
+        self.surroundings.configure(new.core.obstacles, new.map_reading)
 
     def odom_fault(self, now: float) -> str:
         """Return why the odometry cannot be used at the time `now` [s], or an empty string."""
@@ -186,20 +184,10 @@ class SensorInterface:
         """Move the map if its frame has moved against odom."""
         if self.measured is not None:
             x, y, theta = self.measured.pose.tolist()
-            self._map.update((x, y, theta))
+            self.surroundings.update_map((x, y, theta))
 
-    def blind_reason(self) -> str:
-        """Return why it is not known what is around the robot, or an empty string."""
-        return self._watch.blind_reason()
-
-    def _on_odom(self, message: Odometry) -> None:
-        check_frame(message.header.frame_id, self._settings.value.frames.odom.odom_frame)
-        pose = message.pose.pose
-        self.measured = MeasuredState(
-            min(self._node.instant(message.header.stamp), self._node.now()),
-            np.array([pose.position.x, pose.position.y, yaw_from_quaternion(pose.orientation)]),
-            twist_array(message.twist.twist),
-        )
+    def _on_pose(self, pose: Array, time: float) -> None:
+        self.measured = MeasuredState(time, pose, self._odom.twist)
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         scales, before = reported_limit_scales(message), self._limit_scales

@@ -2,11 +2,25 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+from nav_msgs.msg import Path
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from omniman_ros.conversions.obstacles import ellipse_markers
+from omniman_ros.conversions.poses import path_message
+from omniman_ros.conversions.trajectories import preview_message
+from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.motion_log import (
     LoggedMotion,
     MotionEvent,
@@ -14,17 +28,171 @@ from omniman_ros.nodes.motion_log import (
     MotionInput,
     PendingMotion,
 )
-from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
-from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
-from omniman_ros.nodes.planner_interfaces.sensor_interface import (
+from omniman_ros.nodes.mpc_planner.inputs import (
     ArmConfigurationInterface,
-    SensorInterface,
+    PlannerInputs,
 )
+from omniman_ros.nodes.mpc_planner.parameters import MpcPlannerParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
+from omniman_ros.planning.goals import Goal
+from omniman_ros.surroundings.ellipses import Ellipses
 
 if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
+
+
+LEAST_SHIFT = 5e-4  #: Distance by which a goal must have moved to be moved for the planner [m]
+MIN_ROTATION = 5e-4  #: Angle by which a goal must have turned to be turned for the planner [rad]
+
+
+@dataclass(frozen=True)
+class PlacedGoal:
+    """A goal in a frame that does not move with the robot."""
+
+    frame: str  #: The frame; empty for odom
+    goal: Goal  #: Goal in that frame
+
+
+class GoalAnchor:
+    """Gives the planner goals in odom, and moves them when their frame moves against odom."""
+
+    def __init__(self, planner: "Planner", frames: FrameTransforms) -> None:
+        self._planner, self._frames = planner, frames
+        self._frame = ""
+        self._anchor: PlanarPose = (0.0, 0.0, 0.0)
+
+    def drive(self, placed: PlacedGoal, measured: MeasuredState, obstacles: Ellipses) -> None:
+        """Drive to a goal; raise InputError if it is occupied, or unknown in odom."""
+        silence = self._frames.silence_reason(placed.frame)
+        if silence:
+            raise InputError(silence)
+        anchor = self._frames.anchor(placed.frame).planar()
+        self._planner.drive(placed.goal.displaced(anchor), measured, obstacles)
+        self._frame, self._anchor = placed.frame, anchor
+
+    def silence_reason(self) -> str:
+        """Return why it is not known where the goal is in odom, or an empty string."""
+        return "" if self._planner.goal is None else self._frames.silence_reason(self._frame)
+
+    def update(self, now: float, obstacles: Ellipses) -> None:
+        """Move the goal if its frame has moved against odom."""
+        goal = self._planner.goal
+        if goal is None or not self._frame:
+            return
+        anchor = self._frames.anchor(self._frame).planar()
+        if anchor == self._anchor:
+            return
+        x, y, theta = goal.targets(np.array([now]))[0][0].tolist()
+        dx, dy, turn = se2.displacement(self._anchor, anchor, (x, y, theta))
+        if math.hypot(dx, dy) > LEAST_SHIFT or abs(turn) > MIN_ROTATION:
+            change = se2.compose(anchor, se2.inverse(self._anchor))
+            self._anchor = anchor
+            self._planner.displace_goal(change, now, obstacles)
+
+
+PREDICTION_TIMES = (0.5, 1.0, 1.5)  #: Times ahead at which predicted obstacles are shown [s]
+
+
+class PlanPublisher:
+    """Publishes `mpc/plan`, `mpc/route` and `mpc/predicted_obstacles`."""
+
+    def __init__(self, node: OmnimanNode, frame: str, planner: "Planner") -> None:
+        self._node, self._frame, self._planner = node, frame, planner
+        self._plan = node.create_publisher(Path, "mpc/plan", 10)
+        self._route = node.create_publisher(Path, "mpc/route", 10)
+        self._predicted = node.create_publisher(MarkerArray, "mpc/predicted_obstacles", 10)
+
+    def publish(self, now: float, obstacles: Ellipses) -> None:
+        """Publish the plan, the route and the predicted obstacles from the time `now` [s] on."""
+        stamp, motion = self._node.stamp(now), self._planner.motion
+        if self._plan.get_subscription_count():
+            part = motion.between(now, max(motion.end, now + 0.01))
+            plan = path_message(part.poses, self._frame)
+            plan.header.stamp = stamp
+            self._plan.publish(plan)
+        route_planner = self._planner.route_planner
+        route = None if route_planner is None else route_planner.route
+        if route is not None and self._route.get_subscription_count():
+            message = path_message(route.poses, self._frame)
+            message.header.stamp = stamp
+            self._route.publish(message)
+        if self._predicted.get_subscription_count():
+            times = now + np.array(PREDICTION_TIMES)
+            self._predicted.publish(ellipse_markers(obstacles, times, self._frame, stamp))
+
+
+class MotionPublisher:
+    """Publishes the motion of the planner as references or as motor voltages."""
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        settings: ParameterSet[MpcPlannerParameters],
+        planner: "Planner",
+        monitor: StreamMonitor,
+    ) -> None:
+        self._node, self._settings = node, settings
+        self._planner, self._monitor = planner, monitor
+        qos = QoSProfile(depth=1)
+        self.reference = node.create_publisher(MultiDOFJointTrajectory, "mpc/reference", qos)
+        self._voltages = node.create_publisher(JointState, "mpc/voltages", qos)
+        self._sends_voltages = False
+
+    def send(self, now: float) -> None:
+        """Send the motion from now on, unless it is driven by voltages.
+
+        The stream ends with its motion: it is no loss of control that the controller then releases
+        the robot, which is at rest.
+        """
+        planner, motion = self._planner, self._planner.motion
+        with_voltages = self._settings.value.output == "voltages"
+        self._sends_voltages = (
+            with_voltages and planner.active and planner.voltages(now) is not None
+        )
+        if motion.end <= now:
+            self._monitor.end(lost=False)
+            return
+        if not self._sends_voltages:
+            self._send_reference(now)
+
+    def stop(self) -> None:
+        """Send no more voltages until the next `send`."""
+        self._sends_voltages = False
+
+    def _send_reference(self, now: float) -> None:
+        p, preview = self._settings.value, self._planner.preview
+        # The preview lasts at least one period: one that ends in transit arrives stale.
+        part = preview.between(now, max(preview.end, now + p.period))
+        message = preview_message(
+            p.frames.odom.odom_frame,
+            self._node.stamp(now),
+            part.times,
+            part.poses,
+            part.velocities,
+        )
+        self.reference.publish(message)
+        self._note_sent(now)
+
+    def send_voltages(self) -> None:
+        """Send the present voltages if the motion is driven by voltages."""
+        if not self._sends_voltages:
+            return
+        now, p = self._node.now(), self._settings.value
+        volts = self._planner.voltages(now + 0.5 * p.voltages_period)
+        if volts is None:
+            self.send(now)
+            return
+        message = JointState(name=list(p.core.robot.wheels.names))
+        message.header.stamp = self._node.stamp(now)
+        message.effort = volts.tolist()
+        self._voltages.publish(message)
+        self._note_sent(now)
+
+    def _note_sent(self, now: float) -> None:
+        self._monitor.begin(now)
+        self._monitor.sent(now)
 
 
 class PlannerLoop:
@@ -42,14 +210,14 @@ class PlannerLoop:
         node: OmnimanNode,
         planner: "Planner",
         anchor: GoalAnchor,
-        sensors: SensorInterface,
+        inputs: PlannerInputs,
         posture: ArmConfigurationInterface,
         publisher: MotionPublisher,
         plans: PlanPublisher,
         monitor: StreamMonitor,
     ) -> None:
         self._node, self._planner, self._anchor = node, planner, anchor
-        self._sensors, self._posture, self._monitor = sensors, posture, monitor
+        self._inputs, self._posture, self._monitor = inputs, posture, monitor
         self._publisher, self._plans = publisher, plans
         self.goals, self._is_closed = MotionEvents(node).log(MotionInput.GOAL), False
         self._pending = PendingMotion(
@@ -73,13 +241,13 @@ class PlannerLoop:
         except InputError as error:
             self.goals.refuse(motion, str(error))
             raise
-        self._sensors.obstacles.dismiss_silent_source()
+        self._inputs.surroundings.obstacles.dismiss_silent_source()
         return self._pending.accept(motion, lambda: self._start(motion, goal))
 
     def _blocking_reason(self) -> str:
         """Return why no goal can be driven to yet, or an empty string."""
         now = self._node.now()
-        fault = self._sensors.odom_fault(now)
+        fault = self._inputs.odom_fault(now)
         if fault:
             return fault
         if self._monitor.waiting_time(now) > 0.0:
@@ -87,10 +255,10 @@ class PlannerLoop:
         return self._silence_reason(now)
 
     def _start(self, motion: LoggedMotion, goal: PlacedGoal) -> None:
-        measured = self._sensors.measured
+        measured = self._inputs.measured
         assert measured is not None
         self._planner.footprint = self._posture.footprint(self._node.now())
-        self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())
+        self._anchor.drive(goal, measured, self._inputs.surroundings.obstacles.ellipses())
         self.goals.start(motion)
         self.silence, self._end = "", None
 
@@ -107,7 +275,7 @@ class PlannerLoop:
 
     def resume(self) -> str:
         """Drive on after a pause; return any reason for refusal, or ""."""
-        measured = self._sensors.measured
+        measured = self._inputs.measured
         if measured is None or not self._planner.resume(measured):
             return f"nothing to resume: {self._planner.state.value}"
         self.goals.note(MotionEvent.RESUMED)
@@ -139,7 +307,7 @@ class PlannerLoop:
     def _give_up(self, reason: str) -> None:
         """Discard goal and motion: nothing more is sent."""
         self._log_given_up(reason)
-        self._planner.abort(self._node.now() - 1.0, self._sensors.measured)  # ended 1 s ago
+        self._planner.abort(self._node.now() - 1.0, self._inputs.measured)  # ended 1 s ago
         self._publisher.stop()
         self._monitor.end(lost=True)
 
@@ -170,11 +338,11 @@ class PlannerLoop:
             self._restart(now)
         self.give_up_if_lost()
         self._planner.footprint = self._posture.footprint(now)
-        self._sensors.update_map()
+        self._inputs.update_map()
         refusal = self._pending.start()
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
-        measured, fault = self._sensors.measured, self._sensors.odom_fault(now)
+        measured, fault = self._inputs.measured, self._inputs.odom_fault(now)
         if not self._planner.active or measured is None:
             self._coast(now)
         elif fault:
@@ -187,13 +355,13 @@ class PlannerLoop:
     def _silence_reason(self, now: float) -> str:
         """Return why the surroundings or the arm's posture are not known, or an empty string."""
         posture = self._posture.silence_reason(now)
-        return self._sensors.blind_reason() or posture
+        return self._inputs.surroundings.blind_reason() or posture
 
     def _plan(self, now: float, measured: MeasuredState) -> None:
         """Plan towards the goal, check the plan and send it; brake while something is unknown."""
         planner = self._planner
         silence = self._silence_reason(now) or self._anchor.silence_reason()
-        obstacles = self._sensors.obstacles.ellipses()
+        obstacles = self._inputs.surroundings.obstacles.ellipses()
         if silence:
             if not self.silence:
                 planner.brake(now)
@@ -219,18 +387,18 @@ class PlannerLoop:
 
     def _coast(self, now: float) -> None:
         """Finish a motion without a goal, still watching the obstacles."""
-        measured = self._sensors.measured
+        measured = self._inputs.measured
         if self._planner.motion.end > now and measured is not None:
             if self._silence_reason(now):
                 self._planner.brake(now)
             else:
-                self._planner.coast(now, measured, self._sensors.obstacles.ellipses())
+                self._planner.coast(now, measured, self._inputs.surroundings.obstacles.ellipses())
         self._publisher.send(now)
 
     def _restart(self, now: float) -> None:
         """Discard everything that was received, because time went back."""
         self._give_up("time went back")
         self._monitor.restart(now)
-        self._sensors.measured = None
+        self._inputs.measured = None
         self._posture.forget()
         self._pending.restart_timeout()

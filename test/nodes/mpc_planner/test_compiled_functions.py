@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from omniman_ros.nodes.planner_interfaces import compiled_functions
-from omniman_ros.nodes.planner_interfaces.compiled_functions import (
+from omniman_ros.nodes.mpc_planner import compiled_functions
+from omniman_ros.nodes.mpc_planner.compiled_functions import (
     CompiledFunctions,
     default_folder,
 )

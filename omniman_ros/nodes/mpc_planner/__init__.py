@@ -1,0 +1,1 @@
+"""Node `mpc_planner`."""

@@ -1,1 +1,0 @@
-"""Topics of the node `mpc_planner`, part by part."""
