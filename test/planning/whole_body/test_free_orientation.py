@@ -188,6 +188,25 @@ def test_a_way_on_which_a_joint_would_jump_is_not_taken(monkeypatch):
         search.find(start, posts((9.0, 9.0)))
 
 
+def test_a_way_from_the_middle_of_a_path_goes_on_from_the_posture_there(monkeypatch):
+    about_z = replace(SETUP, freedom=OrientationFreedom("z"))
+    search, _ = path_search(about_z, straight(0.4), START)
+    start = np.array([0.1, 0.0, 0.0, 0.1, 2.7])
+    monkeypatch.setattr(platform_path_search, "JUMP", 1.0)
+    way = search.find(start, posts((9.0, 9.0)))
+    places = np.linspace(start[PATH_PARAMETER], way.end, len(way.poses))
+    axes = search.redundancy.axes(np.insert(way.poses, PATH_PARAMETER, places, axis=1))
+    assert np.abs(np.diff(axes[:, 3:], axis=0)).max() <= 1.0
+
+
+@pytest.mark.parametrize("counts", [(8, 4), (24, 8)])
+def test_free_rotations_are_tried_all_around(counts):
+    search, _ = free_search()
+    about = search._free_rotations(np.array([0.3]), counts)[:, 0]
+    assert len(about) == counts[0] and 0.3 in about
+    assert np.diff(np.sort(about)) == pytest.approx(math.tau / counts[0])
+
+
 def test_where_no_free_orientations_go_on_the_way_is_sought_with_it_held(monkeypatch):
     search, start = free_search()
     tried, chosen = [], search._orientations
