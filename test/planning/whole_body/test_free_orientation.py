@@ -93,6 +93,33 @@ def test_rates_and_accelerations_of_the_joints_are_those_of_differences(freedom)
     assert MODEL.forward(at.q) == pytest.approx(r.tool(z), abs=1e-9)
 
 
+@pytest.mark.parametrize("freedom", [FREEDOMS[1], OrientationFreedom("z", 1.5, 2.0)])
+def test_twists_and_accelerations_in_all_of_a_cone_are_those_of_differences(freedom):
+    free, rng, step = FreeOrientation(freedom), np.random.default_rng(5), 1e-4
+    curve = ToolCurve(free.path_of(TOOL, bent())[0], SETUP.path)
+    f, speed, rates = rng.normal(size=(30, 3)), rng.uniform(0.1, 0.5, 30), rng.normal(size=(30, 3))
+    direction = f[:, 1:] / np.linalg.norm(f[:, 1:], axis=1)[:, None]
+    f[:, 1:] = np.linspace(0.0, 1.8, 30)[:, None] * free.cone * direction  # to its border, and on
+    place = rng.uniform(0.1, 0.5, 30)
+
+    def motion(dt):
+        """Return poses and velocities (k, 6) of the tool after a time [s]."""
+        pose, twist, _ = curve.motion(place + dt * speed)
+        tool, twists = free.motion(pose, twist, f + dt * rates)
+        along = np.column_stack([speed, rates])
+        return tool, (twists @ along[:, :, None])[:, :, 0]
+
+    (before, slower), (tool, velocity), (after, faster) = map(motion, (-step, 0.0, step))
+    assert free.tilt(f).max() > 0.9 * free.cone
+    moved = (after - before)[:, :3] / (2.0 * step)
+    assert moved[:, :, 3] == pytest.approx(velocity[:, :3], abs=1e-6)
+    spin = moved[:, :, :3] @ np.swapaxes(tool[:, :3, :3], 1, 2)
+    found = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
+    assert found == pytest.approx(velocity[:, 3:], abs=1e-6)
+    acceleration = free.change(*curve.motion(place), f, speed, rates)
+    assert (faster - slower) / (2.0 * step) == pytest.approx(acceleration, abs=1e-5)
+
+
 @pytest.mark.parametrize("freedom", FREEDOMS)
 def test_a_path_keeps_its_axis_but_no_rotation_about_it(freedom):
     free = FreeOrientation(freedom)
