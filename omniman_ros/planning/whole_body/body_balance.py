@@ -30,12 +30,16 @@ YAW = 2  #: Index of the heading among the coordinates
 
 @dataclass(frozen=True)
 class MarginRows(Validated):
-    """Tip-over margins to each of E edges at k configurations, with their derivatives [m]."""
+    """Tip-over margins to each of E edges at k configurations, with their derivatives.
 
-    margin: Annotated[Array, Shape("k", "E")]
-    by_z: Annotated[Array, Shape("k", "E", "d")]  #: By the redundancy coordinates
-    by_rate: Annotated[Array, Shape("k", "E", "d")]  #: By their rates
-    by_acceleration: Annotated[Array, Shape("k", "E", "d")]  #: By their accelerations
+    Units of the derivatives are those by x, y and s, and by theta and a free orientation.
+    """
+
+    margin: Annotated[Array, Shape("k", "E")]  #: Margins (k, E) [m]
+    #: By the redundancy coordinates (k, E, d) [m/m, m/rad]
+    by_z: Annotated[Array, Shape("k", "E", "d")]
+    by_rate: Annotated[Array, Shape("k", "E", "d")]  #: By their rates [s, m s/rad]
+    by_acceleration: Annotated[Array, Shape("k", "E", "d")]  #: And accelerations [s^2, m s^2/rad]
 
 
 class BodyBalance:

@@ -27,8 +27,6 @@ AXES = {
 USED = 0.98  #: Fraction of the cone that plans use; the rest is for errors of what is executed
 #: Bound of each component of w over h: the tilt is greatest at pi / 2, and near it beyond
 BOUND = 1.3
-#: Fraction of the cone in which a path begins at most: at its border, w does not change the tilt
-BEGIN = 0.95
 
 
 class FreeOrientation:
@@ -92,31 +90,45 @@ class FreeOrientation:
         linear += _swung(spin_change, spin, lever)
         return np.hstack([linear, spin_change])
 
-    def path_of(self, start: Array, poses: Array) -> tuple[Array, Array]:
+    def path_of(
+        self, start: Array, poses: Array, goal: Array | None = None
+    ) -> tuple[Array, Array]:
         """Return the path (k + 1, 4, 4) to which the freedom refers, and f (d,) at its start.
 
         Rotations about the free axis are taken out of poses (k, 4, 4). The axis begins where the
-        first of them has it, or as near as the cone allows to where it is at the start (4, 4).
+        first of them has it, or as near as the cone around where it is at the start (4, 4) allows.
+
+        Args:
+            goal: Pose (4, 4) to whose axis all poses are tilted likewise, as far as the cone
+                allows: they are those of a tool that is in it already; None: they stay.
         """
-        frames, begin = poses @ self._frame, start @ self._frame
-        away = _tilt_to(begin[:3, :3], frames[0, :3, 2])
-        angle = float(np.linalg.norm(away))
-        away *= min(angle, BEGIN * self.cone) / max(angle, SMALL)
-        begin[:3, :3] = begin[:3, :3] @ tilted(away[None])[0]
-        path = np.concatenate([begin[None], frames])
-        for before, frame in itertools.pairwise(path[:, :3, :3]):
+        frames = np.concatenate([start[None], poses]) @ self._frame
+        axis = frames[1, :3, 2] if goal is None else (goal @ self._frame)[:3, 2]
+        away = self._tilts_within(frames[:, :3, :3], axis)
+        if goal is None:
+            away[1:] = 0.0
+        frames[:, :3, :3] = frames[:, :3, :3] @ tilted(away)
+        for before, frame in itertools.pairwise(frames[:, :3, :3]):
             frame[:] = before @ tilted(_tilt_to(before, frame[:, 2])[None])[0]
         f = np.zeros(len(self.bound))
         if len(f) > 1:
-            size = float(np.linalg.norm(away))
-            f[1:] = -self.cone * math.asin(size / self.cone) / max(size, SMALL) * away
-        return path @ self._back, f
+            size = float(np.linalg.norm(away[0]))
+            r = math.asin(min(size / self.cone, 1.0))
+            f[1:] = -self.cone * r / max(size, SMALL) * away[0]
+        return frames @ self._back, f
 
     def tilt(self, f: Array) -> Array:
         """Return the tilts (k, 2) of the axis at f (k, 3) [rad]."""
         w = f[:, 1:]
         r = np.linalg.norm(w, axis=1, keepdims=True) / self.cone
         result: Array = np.sinc(r / math.pi) * w
+        return result
+
+    def _tilts_within(self, rotations: Array, axis: Array) -> Array:
+        """Return tilts (k, 2) of rotations (k, 3, 3) to an axis (3,), in the cone at most."""
+        tilts = np.stack([_tilt_to(rotation, axis) for rotation in rotations])
+        size = np.linalg.norm(tilts, axis=1, keepdims=True)
+        result: Array = tilts * np.where(size > self.cone, self.cone / np.maximum(size, SMALL), 1)
         return result
 
     def _rotation(self, f: Array) -> Array:

@@ -304,7 +304,8 @@ class PlatformPathSearch:
         free = self.redundancy.free
         if free is None:
             return np.zeros((1, 0))
-        about = start[0] + math.tau / counts[0] * np.arange(-counts[0] // 2 + 1, counts[0] // 2)
+        steps = np.arange(counts[0]) - (counts[0] - 1) // 2  # half a revolution is the last
+        about = start[0] + math.tau / counts[0] * steps
         tilt = np.zeros((1, len(free.bound) - 1))
         if tilt.shape[1]:
             angles = math.tau / counts[1] * np.arange(counts[1])
@@ -334,7 +335,7 @@ class PlatformPathSearch:
         travel = FREE_TRAVEL * (change * change).sum(axis=2)
         tools = self._path.pose(places)
         least, choices = np.where(travel[0] == 0.0, 0.0, np.inf), []
-        before = np.broadcast_to(self.redundancy.centre, (len(tried), 6))
+        before = self.redundancy.axes(start[None])[:, 3:]
         for k, coarse in enumerate(gaps, 1):
             pose = np.broadcast_to(poses[k], (len(tried), 3))
             tool = free.turned(np.broadcast_to(tools[k], (len(tried), 4, 4)), tried)

@@ -118,6 +118,8 @@ class WholeBodyTask(BodyTask):
 
     Args:
         poses: Poses (k, 4, 4) of `tool0` in odom; the tool moves straight to the first.
+        goal: Pose (4, 4) around whose axis the cone of a free orientation is, as far as it allows;
+            None: each pose has its own.
 
     Raises:
         InputError: The input is invalid, the path is too far away, the arm starts near a
@@ -126,9 +128,15 @@ class WholeBodyTask(BodyTask):
     """
 
     def __init__(
-        self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
+        self,
+        setup: BodySetup,
+        poses: Array,
+        start: Array,
+        time: float,
+        around: ObstacleSnapshot,
+        goal: Array | None = None,
     ) -> None:
-        self._search, free = path_search(setup, poses, start)
+        self._search, free = path_search(setup, poses, start, goal)
         way = self._search.find(np.concatenate([start[:3], [0.0], free]), around)
         super().__init__(setup, self._search.redundancy, way, start, time, free=free)
 
@@ -138,10 +146,13 @@ class WholeBodyTask(BodyTask):
         self.way = self._search.find(at, around)
 
 
-def path_search(setup: BodySetup, poses: Array, start: Array) -> tuple[PlatformPathSearch, Array]:
+def path_search(
+    setup: BodySetup, poses: Array, start: Array, goal: Array | None = None
+) -> tuple[PlatformPathSearch, Array]:
     """Return the search for ways of the platform while the tool is led along poses (k, 4, 4).
 
-    The coordinates of the tool's free orientation at the start, if any, come second.
+    The coordinates of the tool's free orientation at the start, if any, come second. The cone is
+    around the axis of a goal (4, 4), if there is one; see :class:`WholeBodyTask`.
 
     Raises:
         InputError: The input is invalid, the path is too far away, or the arm starts (9,) near a
@@ -153,7 +164,7 @@ def path_search(setup: BodySetup, poses: Array, start: Array) -> tuple[PlatformP
     tool, free, begin = model.forward(start), _freedom(setup), np.zeros(0)
     led = np.concatenate([tool[None], poses])
     if free is not None:
-        led, begin = free.path_of(tool, poses)
+        led, begin = free.path_of(tool, poses, goal)
     path = ToolCurve(led, options)
     resolver = RedundancyResolver(model, limits, options)
     resolver.signs(start[3:])  # raises on a singularity, where there is no branch

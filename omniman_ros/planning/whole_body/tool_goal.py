@@ -52,13 +52,14 @@ PIECE = 0.1  #: Length of a long obstacle for which one disc stands, at least [m
 class ToolGoalTask(WholeBodyTask):
     """Leads the tool along a path to a goal, and looks for another path where that one is blocked.
 
-    See the base class for the arguments; the goal is the last of the poses.
+    See the base class for the arguments; the goal is the last of the poses, which are of the tool
+    as it is. So its tilts in a cone do not add up from one path to the next.
     """
 
     def __init__(
         self, setup: BodySetup, poses: Array, start: Array, time: float, around: ObstacleSnapshot
     ) -> None:
-        super().__init__(setup, poses, start, time, around)
+        super().__init__(setup, poses, start, time, around, poses[-1])
         self._setup, self._goal, self._tried_at = setup, poses[-1], -math.inf
 
     def search(self, time: float, around: ObstacleSnapshot) -> None:
@@ -108,7 +109,7 @@ def tool_goal_task(
     model = WholeBodyModel(setup.description.mount)
     tool = model.forward(np.vstack([start, axes]))
     straight = np.stack([tool[0], goal])
-    ends = path_search(setup, straight, start)[0].ends(start[:3], around)
+    ends = path_search(setup, straight, start, goal)[0].ends(start[:3], around)
     try:
         return ToolGoalTask(setup, straight, start, time, around)
     except NoPathError as error:

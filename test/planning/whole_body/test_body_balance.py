@@ -10,7 +10,8 @@ from omniman_ros.control.stability import SupportModel
 from omniman_ros.description.arm_mass import ArmMass
 from omniman_ros.motion.whole_body.model import HALF_TURN
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
-from omniman_ros.planning.whole_body.task import WholeBodyTask
+from omniman_ros.planning.whole_body.parameters import OrientationFreedom
+from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
 from test.planning.whole_body.support import START, posts, setup, straight
 
 DESCRIPTION = setup().description
@@ -44,16 +45,34 @@ def test_a_posture_has_the_margin_of_the_model_of_its_support(redundancy):
         assert at_rest == pytest.approx(support.rest_margin, abs=1e-9)
 
 
-@pytest.mark.parametrize("axis", range(4))
-def test_derivatives_of_margins_are_those_of_differences(redundancy, axis):
-    balance, step = BodyBalance(DESCRIPTION), 1e-6
-    nudge = step * np.eye(4)[axis]
+@pytest.mark.parametrize(
+    ("freedom", "axis"),
+    [
+        (freedom, axis)
+        for freedom, d in (
+            (OrientationFreedom(), 4),
+            (OrientationFreedom("x"), 5),
+            (OrientationFreedom("x", 0.4, 0.1), 7),
+        )
+        for axis in range(d)
+    ],
+)
+def test_derivatives_of_margins_are_those_of_differences(freedom, axis):
+    search, begin = path_search(replace(setup(), freedom=freedom), straight(0.6), START)
+    redundancy, balance, step = search.redundancy, BodyBalance(DESCRIPTION), 1e-6
+    rng, count = np.random.default_rng(4), len(begin)
+    own, own_rates, own_accelerations = rng.uniform(-0.3, 0.3, (3, 2, count))
+    states = np.hstack([Z, own])
+    speeds, pushes = np.hstack([RATES, own_rates]), np.hstack([ACCELERATIONS, own_accelerations])
+    nudge = step * np.eye(4 + count)[axis]
 
     def margins(z=0.0, rate=0.0, acceleration=0.0):
-        at = redundancy.configurations(Z + z)
-        return balance.rows(at, RATES + rate, ACCELERATIONS + acceleration).margin
+        at = redundancy.configurations(states + z)
+        return balance.rows(at, speeds + rate, pushes + acceleration).margin
 
-    found = balance.rows(redundancy.configurations(Z), RATES, ACCELERATIONS)
+    found = balance.rows(redundancy.configurations(states), speeds, pushes)
+    if axis >= 4:
+        assert np.abs(found.by_z[..., axis]).max() > 1e-3, "the arm moves with it"
     for derivative, moved in (
         (found.by_z, margins(z=nudge) - margins(z=-nudge)),
         (found.by_rate, margins(rate=nudge) - margins(rate=-nudge)),

@@ -10,10 +10,21 @@ from omniman_ros.collision.signed_gaps import point_gap_values
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.motion.whole_body.held_tool import HeldTool
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.planning.whole_body.body_gaps import FAR, NEAR, BodyGaps, in_odom
+from omniman_ros.motion.whole_body.tool_curve import ToolCurve
+from omniman_ros.planning.whole_body.body_gaps import (
+    FAR,
+    MOVING,
+    NEAR,
+    OWN,
+    STANDING,
+    BodyGaps,
+    in_odom,
+)
+from omniman_ros.planning.whole_body.free_orientation import FreeOrientation
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
+from omniman_ros.planning.whole_body.parameters import OrientationFreedom
 from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
-from test.planning.whole_body.support import START, setup
+from test.planning.whole_body.support import START, setup, straight
 
 SETUP = setup()
 GAPS = BodyGaps(SETUP.description, SETUP.tool, None, 0.1)
@@ -99,3 +110,27 @@ def test_the_rows_within_a_reach_are_the_same_whatever_is_beyond(seed):
         a, b = (np.sort(rows.gap[k][rows.gap[k] <= reach]) for rows in (whole, found))
         assert len(a) > 5 and a == pytest.approx(b, abs=1e-12)
         assert (np.sort(found.gap[k])[len(a) :] == FAR).all()
+
+
+@pytest.mark.parametrize("cone", [0.0, 0.4])
+def test_derivatives_by_free_coordinates_are_those_of_differences(cone):
+    around, step = mixed(0), 1e-6
+    free = FreeOrientation(OrientationFreedom("x", cone, 0.1))
+    path, begin = free.path_of(MODEL.forward(START), straight(0.6))
+    redundancy = ToolRedundancy(MODEL, ToolCurve(path, SETUP.path), START[3:], free)
+    z = np.random.default_rng(1).uniform(-0.1, 0.1, (6, 4 + len(begin)))
+    z[:, [0, 3]] += 0.3
+    ages = np.linspace(0.1, 0.6, 6)
+
+    def rows(coordinates):
+        # With more rows than gaps, they have one order at all configurations.
+        at = redundancy.configurations(coordinates)
+        return GAPS.rows(at, around, ages, 50.0, 1000)
+
+    found = rows(z)
+    assert set(found.kind[found.gap < FAR].tolist()) == {OWN, STANDING, MOVING}
+    moved = np.stack(
+        [rows(z + nudge).gap - rows(z - nudge).gap for nudge in step * np.eye(z.shape[1])], axis=-1
+    )
+    assert moved / (2.0 * step) == pytest.approx(found.slope, abs=1e-7)
+    assert np.abs(found.slope[..., 4:]).max(axis=(0, 1)).min() > 0.05

@@ -11,7 +11,7 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve, tilted, upright
 from omniman_ros.planning.whole_body import platform_path_search
 from omniman_ros.planning.whole_body.controller import PERIOD
-from omniman_ros.planning.whole_body.free_orientation import BEGIN, USED, FreeOrientation
+from omniman_ros.planning.whole_body.free_orientation import USED, FreeOrientation
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import OrientationFreedom
 from omniman_ros.planning.whole_body.platform_path import NoPathError
@@ -93,6 +93,33 @@ def test_rates_and_accelerations_of_the_joints_are_those_of_differences(freedom)
     assert MODEL.forward(at.q) == pytest.approx(r.tool(z), abs=1e-9)
 
 
+@pytest.mark.parametrize("freedom", [FREEDOMS[1], OrientationFreedom("z", 1.5, 2.0)])
+def test_twists_and_accelerations_in_all_of_a_cone_are_those_of_differences(freedom):
+    free, rng, step = FreeOrientation(freedom), np.random.default_rng(5), 1e-4
+    curve = ToolCurve(free.path_of(TOOL, bent())[0], SETUP.path)
+    f, speed, rates = rng.normal(size=(30, 3)), rng.uniform(0.1, 0.5, 30), rng.normal(size=(30, 3))
+    direction = f[:, 1:] / np.linalg.norm(f[:, 1:], axis=1)[:, None]
+    f[:, 1:] = np.linspace(0.0, 1.8, 30)[:, None] * free.cone * direction  # to its border, and on
+    place = rng.uniform(0.1, 0.5, 30)
+
+    def motion(dt):
+        """Return poses and velocities (k, 6) of the tool after a time [s]."""
+        pose, twist, _ = curve.motion(place + dt * speed)
+        tool, twists = free.motion(pose, twist, f + dt * rates)
+        along = np.column_stack([speed, rates])
+        return tool, (twists @ along[:, :, None])[:, :, 0]
+
+    (before, slower), (tool, velocity), (after, faster) = map(motion, (-step, 0.0, step))
+    assert free.tilt(f).max() > 0.9 * free.cone
+    moved = (after - before)[:, :3] / (2.0 * step)
+    assert moved[:, :, 3] == pytest.approx(velocity[:, :3], abs=1e-6)
+    spin = moved[:, :, :3] @ np.swapaxes(tool[:, :3, :3], 1, 2)
+    found = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
+    assert found == pytest.approx(velocity[:, 3:], abs=1e-6)
+    acceleration = free.change(*curve.motion(place), f, speed, rates)
+    assert (faster - slower) / (2.0 * step) == pytest.approx(acceleration, abs=1e-5)
+
+
 @pytest.mark.parametrize("freedom", FREEDOMS)
 def test_a_path_keeps_its_axis_but_no_rotation_about_it(freedom):
     free = FreeOrientation(freedom)
@@ -107,14 +134,14 @@ def test_a_path_keeps_its_axis_but_no_rotation_about_it(freedom):
     assert (change <= moved + 1e-9).all(), "it turns about the axis"
 
 
-@pytest.mark.parametrize("tilt", [0.1, 0.5, math.pi])
+@pytest.mark.parametrize("tilt", [0.1, 0.25, 0.5, math.pi])
 def test_a_path_begins_with_the_axis_of_its_first_pose_as_far_as_the_cone_allows(tilt):
     free, freedom = FreeOrientation(FREEDOMS[3]), FREEDOMS[3]
     poses = straight(0.6)
     poses[:, :3, :3] = poses[:, :3, :3] @ tilted(np.array([[tilt, 0.0]]))
     path, begin = free.path_of(TOOL, poses)
     left = angle(axis_of(freedom, path[:1]), axis_of(freedom, poses[:1]))
-    assert left == pytest.approx(max(tilt - BEGIN * USED * freedom.cone, 0.0), abs=1e-7)
+    assert left == pytest.approx(max(tilt - USED * freedom.cone, 0.0), abs=1e-7)
     assert free.turned(path[:1], begin[None])[0] == pytest.approx(TOOL, abs=1e-9)
 
 
@@ -188,6 +215,25 @@ def test_a_way_on_which_a_joint_would_jump_is_not_taken(monkeypatch):
         search.find(start, posts((9.0, 9.0)))
 
 
+def test_a_way_from_the_middle_of_a_path_goes_on_from_the_posture_there(monkeypatch):
+    about_z = replace(SETUP, freedom=OrientationFreedom("z"))
+    search, _ = path_search(about_z, straight(0.4), START)
+    start = np.array([0.1, 0.0, 0.0, 0.1, 2.7])
+    monkeypatch.setattr(platform_path_search, "JUMP", 1.0)
+    way = search.find(start, posts((9.0, 9.0)))
+    places = np.linspace(start[PATH_PARAMETER], way.end, len(way.poses))
+    axes = search.redundancy.axes(np.insert(way.poses, PATH_PARAMETER, places, axis=1))
+    assert np.abs(np.diff(axes[:, 3:], axis=0)).max() <= 1.0
+
+
+@pytest.mark.parametrize("counts", [(8, 4), (24, 8)])
+def test_free_rotations_are_tried_all_around(counts):
+    search, _ = free_search()
+    about = search._free_rotations(np.array([0.3]), counts)[:, 0]
+    assert len(about) == counts[0] and 0.3 in about
+    assert np.diff(np.sort(about)) == pytest.approx(math.tau / counts[0])
+
+
 def test_where_no_free_orientations_go_on_the_way_is_sought_with_it_held(monkeypatch):
     search, start = free_search()
     tried, chosen = [], search._orientations
@@ -231,3 +277,66 @@ def test_a_goal_is_reached_with_a_free_orientation_alone():
     z = np.insert(task.way.poses[-1], PATH_PARAMETER, task.redundancy.path.end)
     reached = MODEL.forward(task.redundancy.axes(z[None]))[0]
     assert reached[:3, 3] == pytest.approx(goal[:3, 3], abs=1e-3)
+
+
+CONE = OrientationFreedom("z", 0.26, 0.15)
+
+
+def goal_of(length, yaw=0.0):
+    """Return a pose ahead of the start [m], with the tool's axis as it is there."""
+    return rotated(straight(length)[-1:], [yaw])[0]
+
+
+def nominal_tilts(task, goal):
+    """Return angles (k,) of the cone's middle from the goal's axis, along a path [rad]."""
+    poses = task.redundancy.path.pose(np.linspace(0.0, task.redundancy.path.end, 200))
+    return angle(axis_of(CONE, poses), axis_of(CONE, goal[None]))
+
+
+def tilted_start(tilt):
+    """Return axes (9,) of the start but for the tool, which is tilted about its point [rad]."""
+    wide = FreeOrientation(replace(CONE, cone=2.0 * tilt / USED))
+    pose = wide.turned(TOOL[None], np.array([[0.0, 2.0 * tilt * math.asin(0.5), 0.0]]))
+    arm = MODEL.arm_angles(START[None, :3], pose, MODEL.arm.branch_of(START[3:]), START[3:])
+    return np.append(START[:3], arm[0])
+
+
+def test_tilts_do_not_add_up_from_detour_to_detour(monkeypatch):
+    def blocked(task, time, around):
+        raise NoPathError("blocked", Obstruction(Cause.STANDING, 0.0, "arm", "a post"))
+
+    monkeypatch.setattr(WholeBodyTask, "search", blocked)
+    goal, nothing = goal_of(1.0), posts((9.0, 9.0))
+    task = tool_goal_task(replace(SETUP, freedom=CONE), goal, START, 0.0, nothing)
+    for w in ((1.5, 0.3), (1.2, -1.2)):
+        z = np.insert(task.way.at(np.array([0.1]))[0][0], PATH_PARAMETER, 0.1)
+        z[5:] = USED * CONE.cone * np.array(w)
+        task.controller.begin(0.0, z)
+        axes = task.redundancy.axes(z[None])
+        task.search(0.0, nothing)
+        task = task.detour
+        assert task.redundancy.axes(task.begin[None]) == pytest.approx(axes, abs=1e-6)
+        assert nominal_tilts(task, goal).max() < 1e-6
+
+
+@pytest.mark.parametrize("around", [posts((9.0, 9.0)), posts((1.0, 0.3), (1.0, 0.6))])
+def test_a_goal_is_the_middle_of_the_cone_for_a_tool_that_starts_tilted_in_it(around):
+    goal, start = goal_of(1.5, 1.0), tilted_start(0.24)
+    off = angle(axis_of(CONE, MODEL.forward(start)[None]), axis_of(CONE, goal[None]))
+    assert off == pytest.approx(0.24, abs=1e-6)
+    task = tool_goal_task(replace(SETUP, freedom=CONE), goal, start, 0.0, around)
+    assert task.redundancy.axes(task.begin[None])[0] == pytest.approx(start, abs=1e-6)
+    assert nominal_tilts(task, goal).max() < 1e-6
+
+
+def test_a_tool_that_starts_out_of_the_cone_of_its_goal_comes_into_it():
+    goal, start, nothing = goal_of(0.5), tilted_start(0.4), posts((9.0, 9.0))
+    task = tool_goal_task(replace(SETUP, freedom=CONE), goal, start, 0.0, nothing)
+    tilts = nominal_tilts(task, goal)
+    assert tilts[0] == pytest.approx(0.4 - USED * CONE.cone, abs=1e-6)
+    assert (np.diff(tilts) < 1e-9).all() and tilts[-1] < 1e-6
+    z, axes, end = drive(task, nothing)
+    assert task.is_completed(end)
+    tool = MODEL.forward(axes)
+    off = angle(axis_of(CONE, tool), np.broadcast_to(axis_of(CONE, goal[None]), (len(z), 3)))
+    assert off.max() == pytest.approx(0.4, abs=1e-3) and off[-1] <= CONE.cone
