@@ -10,6 +10,7 @@ import pytest
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.joint_goal import AT_GOAL, JointGoalTask
@@ -162,6 +163,39 @@ def test_what_comes_to_stand_in_the_way_is_passed_from_where_the_robot_rests(lat
         now += PERIOD
     assert motion.task is not first and motion.task.is_completed(now)
     assert np.abs(motion.sample(np.array([now]))[0][0] - goal).max() < 2.0 * AT_GOAL
+
+
+def test_a_detour_is_paused_and_cancelled_and_none_is_taken_meanwhile():
+    goal = axes(3.0, 0.0, 0.0, AHEAD)
+    motion = AvoidanceMotion(SETUP.limits)
+    motion.follow(JointGoalTask(SETUP, goal, START, 0.0, FREE))
+    motion.task.search(0.0, WALL)
+    assert motion.take_detour(0.0)
+    task, now = motion.task, 0.0
+
+    def run(duration):
+        nonlocal now
+        for _ in range(round(duration / PERIOD)):
+            motion.cycle(now, 1.0, WALL)
+            motion.update(now)
+            now += PERIOD
+        return motion.sample(np.array([now]))[0][0]
+
+    run(2.0)
+    motion.pause(now)
+    here = run(2.0)
+    assert motion.state is PathState.PAUSED
+    task.detour = JointGoalTask(SETUP, goal, here, now, WALL)
+    assert not motion.take_detour(now) and motion.task is task
+    assert run(1.0) == pytest.approx(here, abs=1e-9)
+    motion.resume(now)
+    assert np.abs(run(1.0) - here).max() > 0.02
+    motion.cancel(now)
+    assert motion.state is PathState.CANCELLING
+    while motion.state is not PathState.IDLE:
+        motion.update(now)
+        now += PERIOD
+    assert now < 10.0
 
 
 def test_a_robot_that_waits_looks_for_a_detour_at_times_and_says_what_is_in_its_way():
