@@ -6,7 +6,6 @@ has no room, the arm moves before the route, or after it. Each way is checked as
 are before it is followed.
 """
 
-import contextlib
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -123,17 +122,22 @@ class JointGoalTask(BodyTask):
         off = z[:3] - self.way.at(z[3:])[0][0]
         if found is None and np.abs(off).max() <= LEFT:
             return
+        refusal: InputError | None = None
         if self.rests(time) and time - self._tried_at >= DETOUR_PERIOD:
             self._tried_at = time
             start = self.redundancy.axes(z[None])[0]
             before = np.linspace(place, max(place - RETREAT, 0.0), RETREAT_STEPS)
             aside = self.way.at(before)[0] + off  # beside the way, as the robot is
             for back in (None, aside):
-                with contextlib.suppress(InputError):
+                try:
                     self.detour = JointGoalTask(self._setup, self._goal, start, time, around, back)
                     return
+                except InputError as error:
+                    refusal = error
         if found is not None:
             raise NoPathError(str(found), found)
+        if refusal is not None:
+            raise refusal
 
 
 class _WaySearch:

@@ -165,6 +165,18 @@ def test_what_comes_to_stand_in_the_way_is_passed_from_where_the_robot_rests(lat
     assert np.abs(motion.sample(np.array([now]))[0][0] - goal).max() < 2.0 * AT_GOAL
 
 
+def test_a_robot_that_has_left_its_way_without_another_one_says_why():
+    task = JointGoalTask(SETUP, axes(3.0, 0.0, 0.0, AHEAD), START, 0.0, FREE)
+    aside = np.array([0.0, 1.5, 0.0, 0.0])
+    task.controller.begin(0.0, aside)
+    task.search(0.0, FREE)
+    assert task.detour is not None and task.detour.begin[:3] == pytest.approx(aside[:3])
+    task.controller.begin(DETOUR_PERIOD, aside)
+    between = UprightObstacles.box((2.0, 0.75, 0.0), 20.0, THICKNESS, HEIGHTS)
+    with pytest.raises(NoPathError, match="standing solid 0, and there is no way around"):
+        task.search(DETOUR_PERIOD, ObstacleSnapshot(standing=between))
+
+
 def test_a_detour_is_paused_and_cancelled_and_none_is_taken_meanwhile():
     goal = axes(3.0, 0.0, 0.0, AHEAD)
     motion = AvoidanceMotion(SETUP.limits)
