@@ -107,10 +107,19 @@ class MotionLog:
             self.report(motion, MotionEvent.RECEIVED)
         return motion
 
-    def report(self, motion: LoggedMotion, event: MotionEvent, reason: str = "") -> None:
+    def report(
+        self,
+        motion: LoggedMotion,
+        event: MotionEvent,
+        reason: str = "",
+        by: LoggedMotion | None = None,
+    ) -> None:
         """Record what happens to a motion; nothing happens to one that has ended.
 
         The latest event is told again if its reason changes otherwise than by its numbers.
+
+        Args:
+            by: Motion by which it is replaced.
         """
         if motion.outcome is not None:
             return
@@ -118,7 +127,7 @@ class MotionLog:
             motion.number = next(self._numbers)
             self.report(motion, MotionEvent.RECEIVED)
         form = _SENTENCES.get(event, "{reason}" if reason else event.value)
-        text = form.format(label=motion.kind.label, reason=reason)
+        text = form.format(label=(by or motion).kind.label, reason=reason)
         for log in {self, motion.log}:
             if (event, text) != (log.event, log.text):
                 log.event, log.text, log.order = event, text, next(_order)
@@ -136,6 +145,10 @@ class MotionLog:
         if motion.number:
             self._tell(motion, event, reason, text)
 
+    def end(self, motion: LoggedMotion, by: LoggedMotion | None) -> None:
+        """Record that a motion was cancelled, or replaced by another one."""
+        self.report(motion, MotionEvent.REPLACED if by else MotionEvent.CANCELLED, by=by)
+
     def refuse(self, motion: LoggedMotion, why: str) -> InputError:
         """Record a refusal; return the error for it."""
         self.report(motion, MotionEvent.REFUSED, why)
@@ -144,7 +157,7 @@ class MotionLog:
     def start(self, motion: LoggedMotion, text: str = "") -> None:
         """Record that a motion, described by a text, is under way in place of the last one."""
         if self.driven is not None:
-            self.report(self.driven, MotionEvent.REPLACED)
+            self.report(self.driven, MotionEvent.REPLACED, by=motion)
         self.driven = motion
         self.report(motion, MotionEvent.STARTED, text)
 
@@ -168,6 +181,7 @@ class MotionEvents:
 
     def __init__(self, node: OmnimanNode) -> None:
         self._node, self._numbers = node, count(1)
+        self._received: dict[int, LoggedMotion] = {}  # of which nothing else was told, by number
         self._publisher = node.create_publisher(DiagnosticStatus, TOPIC, ALL_LATCHED)
         node.final_publishers.append(self._publisher)
 
@@ -175,7 +189,18 @@ class MotionEvents:
         """Return a log whose events are published."""
         return MotionLog(kind, self._numbers, self._tell)
 
+    def cancel_received(self) -> bool:
+        """Cancel the motions that wait for transforms of their frames; return if there are any."""
+        waiting = [*self._received.values()]
+        for motion in waiting:
+            motion.log.end(motion, None)
+        return bool(waiting)
+
     def _tell(self, motion: LoggedMotion, event: MotionEvent, reason: str, text: str) -> None:
+        if event is MotionEvent.RECEIVED:
+            self._received[motion.number] = motion
+        else:
+            self._received.pop(motion.number, None)
         label = motion.kind.label
         if event is MotionEvent.GIVEN_UP:
             self._node.warn(f"{label} given up", text)
@@ -215,7 +240,7 @@ class PendingMotion:
 
     def accept(self, motion: LoggedMotion, start: Callable[[], None]) -> str:
         """Accept a motion in place of the one that waits; start it, return or raise why not."""
-        self.discard(MotionEvent.REPLACED)
+        self.discard(motion)
         self.motion = motion
         self._pending.put(start)
         return self.start()
@@ -232,11 +257,11 @@ class PendingMotion:
             self._log.refuse(motion, attempt.refusal)
         return attempt.refusal
 
-    def discard(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
-        """Discard the motion that waits, and return whether there was one."""
+    def discard(self, by: LoggedMotion | None = None) -> bool:
+        """Cancel the motion that waits, or replace it; return whether there was one."""
         motion, self.motion = self.motion, None
         if motion is not None:
-            self._log.report(motion, event)
+            self._log.end(motion, by)
         return self._pending.discard()
 
     def restart_timeout(self) -> None:

@@ -62,6 +62,16 @@ def test_platform_and_joints_reach_their_goal(world, robot):
     assert [*robot.joints.value.values()] == pytest.approx(angles, abs=2e-3)
 
 
+def test_a_goal_of_platform_and_joints_is_cancelled_by_its_handle(world, robot):
+    handle = robot.move_body(1.5, 0.0, 0.0, [*robot.joints.value.values()])
+    world.run(0.2)
+    world.run_to_motion_start()
+    world.run(0.5)
+    handle.cancel()
+    assert handle.result(timeout=10.0).outcome is Outcome.CANCELLED
+    assert robot.pose.value.x < 1.0
+
+
 def test_a_goal_of_the_joints_has_the_platform_first_and_its_frame():
     message = joint_goal(1.0, 2.0, 0.5, {"b": 0.1}, ("a", "b"), "map")
     assert message.header.frame_id == "map"

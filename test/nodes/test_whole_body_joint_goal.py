@@ -1,6 +1,7 @@
 """Goals of platform and joints together over real topics, and by the action `move_body`."""
 
 import contextlib
+import threading
 from importlib import import_module
 
 import numpy as np
@@ -16,7 +17,7 @@ from test.nodes.harness import PERIOD
 from test.nodes.test_path_interpolator_arm import trajectory
 from test.nodes.test_path_interpolator_tool import READY
 from test.nodes.test_path_interpolator_whole_body import BODY
-from test.nodes.test_whole_body_planner import SHORT, DodgeWorld
+from test.nodes.test_whole_body_planner import SHORT, DodgeWorld, send_goal
 from test.nodes.transforms import Localisation, Transforms, tf_installed
 from test.nodes.whole_robot import Post
 
@@ -93,7 +94,7 @@ def test_a_goal_replaces_a_path_of_the_tool_and_is_paused_resumed_and_cancelled(
     world.run(1.0)
     driven = world.body.log.driven
     send(world, FAR)
-    assert driven.outcome == "replaced by a new tool path"
+    assert driven.outcome == "replaced by a new joint goal"
     world.run_until(lambda: world.body.idle, 2.0, "the rest")
     world.run_until(lambda: world.node.motions.tool.is_planning, 1.0, "the planning")
     world.run_to_motion_start()
@@ -111,6 +112,8 @@ def test_a_goal_replaces_a_path_of_the_tool_and_is_paused_resumed_and_cancelled(
     assert world.call_service("cancel").success
     world.run_to_motion_end(2.0)
     assert world.body.log.text == "cancelled"
+    for request in ("pause", "cancel"):
+        assert world.call_service(request).message == f"no motion to {request}: idle"
     end = axes(world)
     world.run(0.5)
     assert axes(world) == pytest.approx(end, abs=1e-6) and np.abs(end - FAR).max() > 0.1
@@ -132,7 +135,14 @@ REFUSED = {
     "no positions": ([], {}, "without positions"),
     "two points": ([GOAL, GOAL], {}, "one point, not 2"),
     "not finite": ([[np.nan, *GOAL[1:]]], {}, "not a finite number"),
-    "in motion": ([GOAL], {"velocities": [np.ones(9)]}, "at rest"),
+    "huge": ([GOAL] * 1000, {}, "0.1 MB, a goal is one point"),
+    "in motion": ([GOAL], {"velocities": [np.ones(9)]}, "at rest, without velocities"),
+    "accelerating": (
+        [GOAL],
+        {"velocities": [np.zeros(9)], "accelerations": [np.ones(9)]},
+        "at rest, without accelerations",
+    ),
+    "timed": ([GOAL], {"times": [60.0]}, "as soon as the limits allow: time_from_start is 60 s"),
     "unknown frame": ([GOAL], {"frame": "lidar"}, "lidar"),
     "joint limit": ([[7.0]], {"names": ["elbow_joint"]}, "elbow_joint = 7 rad must be from"),
     "in itself": ([[1.5]], {"names": ["shoulder_lift_joint"]}, "near to platform"),
@@ -146,6 +156,79 @@ def test_a_goal_that_cannot_be_is_refused_before_anything_moves(world, case):
     world.wait_for_plan()
     assert any(words in text for text in world.warnings), world.warnings
     assert world.body.idle and not world.references and not world.joint_previews
+
+
+def test_rates_that_are_zero_but_for_round_off_are_at_rest(world):
+    send(world, GOAL, velocities=[np.full(9, 1e-12)], accelerations=[np.full(9, 1e-12)])
+    world.run_to_motion_start()
+    assert not world.warnings
+
+
+def test_a_goal_replaces_a_hold_of_the_tool(world):
+    assert world.call_service("hold").success
+    world.run_to_motion_start()
+    held = world.body.log.driven
+    send(world, GOAL)
+    assert held.outcome == "replaced by a new joint goal"
+    world.run_until(lambda: world.node.motions.tool.is_planning, 2.0, "the planning")
+    world.run_to_motion_start()
+    world.run_to_motion_end(30.0)
+    assert axes(world) == pytest.approx(GOAL, abs=3e-3)
+
+
+def test_a_goal_replaces_one_that_is_still_being_planned(world):
+    release = threading.Event()
+    plan = world.body.joint_planner
+
+    def slow(goal, start):
+        made = plan(goal, start)
+        return lambda: release.wait(10.0) and made()
+
+    world.body.joint_planner = slow
+    send(world, FAR)
+    (first, _) = world.node.motions.tool._plan
+    send(world, GOAL)
+    assert first.outcome == "replaced by a new joint goal"
+    release.set()
+    world._await(world.node.motions.tool._running.done, "the discarded plan")
+    world.run_until(lambda: world.node.motions.tool.is_planning, 1.0, "the planning")
+    world.run_to_motion_start()
+    world.run_to_motion_end(30.0)
+    assert axes(world) == pytest.approx(GOAL, abs=3e-3)
+
+
+@contextlib.contextmanager
+def world_without_map():
+    """A world in which `map` may come: a goal in it waits."""
+    with tf_installed(), DodgeWorld(parameters={"tf.wait": 5.0}) as world:
+        transforms = Transforms(world)
+        transforms.send("base_link", "lidar", 0.3, 0.0, static=True)
+        world.run(0.1)
+        yield world, transforms
+
+
+def test_a_goal_that_waits_for_its_frame_can_be_cancelled():
+    with world_without_map() as (world, transforms):
+        send(world, FAR, frame="map")
+        world.run(0.2)
+        assert world.call_service("cancel").success
+        assert world.node.motions.tool.log.text == "cancelled"
+        Localisation(world, transforms)
+        world.run(0.5)
+        world.wait_for_plan()
+        assert world.body.idle and not world.references
+
+
+def test_a_goal_whose_frame_is_known_too_late_does_not_replace_a_newer_one():
+    with world_without_map() as (world, transforms):
+        send(world, FAR, frame="map")
+        send_goal(world, 0.2, 0.0, 0.0)
+        world.run_to_motion_start()
+        newer = world.body.log.driven
+        Localisation(world, transforms)
+        world.run(0.2)
+        assert any("a newer tool goal came" in text for text in world.warnings), world.warnings
+        assert world.body.log.driven is newer
 
 
 @pytest.fixture(scope="module")
@@ -198,6 +281,20 @@ def test_an_action_reaches_its_goal_and_its_feedback_has_all_axes(action_type):
         assert max(np.abs(each.error.positions).max() for each in client.feedback) < 0.02
         assert np.array(client.feedback[-1].actual.positions) == pytest.approx(GOAL, abs=5e-3)
         assert client.world.node.finished
+
+
+def test_feedback_is_of_the_goal_not_of_the_motion_that_it_replaces(action_type):
+    with client_of(action_type) as client:
+        world = client.world
+        world.lead(SHORT)
+        world.run(1.0)
+        client.send(GOAL)
+        world.run_until(lambda: world.body.idle, 2.0, "the rest")
+        assert not client.feedback
+        world.run_until(lambda: world.node.motions.tool.is_planning, 1.0, "the planning")
+        world.run_to_motion_start()
+        world.run(0.3)
+        assert client.feedback
 
 
 def test_an_occupied_goal_is_aborted_with_part_and_obstacle(action_type):

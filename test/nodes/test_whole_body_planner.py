@@ -400,7 +400,7 @@ def test_a_goal_replaces_what_is_driven_and_begins_where_the_robot_rests(world):
     world.run(2.0)
     driven = world.body.log.driven
     send_goal(world, 0.0, 0.0, 0.05)
-    assert driven.outcome == "replaced by a new tool path"
+    assert driven.outcome == "replaced by a new tool goal"
     assert not world.body.idle, "it brakes"
     send_goal(world, 0.0, 0.1, 0.05)  # replaces the goal that waits
     world.run_until(lambda: world.body.idle, 2.0, "the rest")

@@ -150,8 +150,9 @@ class MotionCoordinator(ABC, Generic[Options]):
 
     def cancel(self) -> None:
         """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
-        discarded = [motion for motion in self.waiting.values() if motion.discard()]
-        if not self.time_base.idle or not discarded:
+        discarded = [motion.discard() for motion in self.waiting.values()]
+        discarded.append(self.events.cancel_received())
+        if not self.time_base.idle or not any(discarded):
             self.time_base.cancel()
 
     def begin_shutdown(self) -> None:

@@ -68,7 +68,7 @@ class PathInput(ABC):
         """Start a path, or let it wait; return or raise (InputError) why it is refused."""
 
     def _accept_received(self, received: tuple[LoggedMotion, Path]) -> str:
-        return self._accept(*received)
+        return "" if received[0].outcome is not None else self._accept(*received)
 
     def _on_data(self, data: bytes) -> str | None:
         motion = self.log.receive(serialized_stamp(data))
@@ -333,9 +333,17 @@ class ToolInterface(PathInput, Generic[Plan]):
     def _take(
         self, motion: LoggedMotion, planner: Callable[[Array], Callable[[], Plan]], label: str
     ) -> str:
-        self.discard(MotionEvent.REPLACED)
+        self._require_newest(motion)
+        self.discard(motion)
         self._whole_body.expect_path()
         return self._pending.accept(motion, lambda: self._start_planning(motion, planner, label))
+
+    def _require_newest(self, motion: LoggedMotion) -> None:
+        """Refuse a motion that was received before the one that it would replace."""
+        planned = None if self._plan is None else self._plan[0]
+        for other in (planned, self._pending.motion, self._whole_body.log.driven):
+            if other is not None and other.number > motion.number:
+                raise self.log.refuse(motion, f"a newer {other.kind.label} came")
 
     def _poses(self, message: Path, place: Array, here: Array) -> Array:
         """Return poses (k, 4, 4) in odom of a path in a frame at `place`; see `tool_poses`."""
@@ -353,12 +361,12 @@ class ToolInterface(PathInput, Generic[Plan]):
         """Whether a path is being planned."""
         return self._plan is not None and not self._plan[1].done()
 
-    def discard(self, event: MotionEvent = MotionEvent.CANCELLED) -> bool:
-        """Discard the path that waits or is being planned, and return whether there was one."""
+    def discard(self, by: LoggedMotion | None = None) -> bool:
+        """Cancel what waits or is being planned, or replace it; return whether there was one."""
         plan, self._plan = self._plan, None
         if plan is not None:
-            self.log.report(plan[0], event)
-        return self._pending.discard(event) or plan is not None
+            self.log.end(plan[0], by)
+        return self._pending.discard(by) or plan is not None
 
     def start(self) -> str:
         """Plan the path that waits, or start it once planned; return why it is refused, or ""."""

@@ -11,7 +11,7 @@ from std_msgs.msg import Header
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.nodes.motion_log import LoggedMotion, MotionEvent, MotionInput
+from omniman_ros.nodes.motion_log import LoggedMotion, MotionInput
 from omniman_ros.nodes.path_interpolator.motions import MotionCoordinator
 from omniman_ros.nodes.path_interpolator.tool import ToolInterface
 from omniman_ros.nodes.whole_body_planner.avoidance import AvoidanceInterface
@@ -44,6 +44,8 @@ class ToolTaskInterface(ToolInterface[Any]):
     def _accept_goal(self, received: tuple[LoggedMotion, PoseStamped]) -> str:
         """Take a goal, in odom as its frame is known now; return or raise why it is refused."""
         motion, message = received
+        if motion.outcome is not None:  # cancelled while it waited for its frame
+            return ""
         path = Path(header=message.header, poses=[message])
         planner = self._planner(motion, path, self.body.goal_planner)
         return self.replace(motion, planner, "the way of the tool to a goal")
@@ -58,7 +60,9 @@ class ToolTaskInterface(ToolInterface[Any]):
 
         It begins at rest; the result is why it is refused, or an empty string.
         """
-        self.body.log.note(MotionEvent.REPLACED)
+        self._require_newest(motion)
+        if (driven := self.body.log.driven) is not None:
+            self.body.log.end(driven, motion)
         self.body.stop()
         return self._take(motion, planner, label)
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.upright_obstacles import Mask
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.separation import Workspace
@@ -38,18 +39,25 @@ def reached_by_disc(
         dy = np.arange(j, j + part.shape[1]) - y
         part &= dx[:, None] ** 2 + dy**2 >= r * r
 
-    def nodes(points: Array) -> tuple[Array, Array]:
-        at = np.round((points - low) / EDGE).astype(np.intp)
-        x, y = np.clip(at, 0, shape - 1).T
-        return x, y
+    wide = np.pad(is_free, 1)  # with a border that is never free
+    row = wide.shape[1]
+    left = wide.ravel()  # the nodes that are free and not reached yet
+    steps = np.array([-row - 1, -row, -row + 1, -1, 1, row - 1, row, row + 1])
+    owner = np.zeros(left.shape, dtype=np.intp)
 
-    reached = np.zeros(shape + 2, dtype=bool)  # with a border that is never free
-    inner = reached[1:-1, 1:-1]
-    inner[nodes(start[None])] = True
-    count = 0
-    while (found := int(inner.sum())) > count:
-        count = found
-        wide = reached[:-2] | reached[1:-1] | reached[2:]
-        inner |= (wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]) & is_free
-    result: Mask = inner[nodes(ends)]
+    def numbers(points: Array) -> Indices:
+        at = np.round((points - low) / EDGE).astype(np.intp)
+        x, y = np.clip(at, 0, shape - 1).T + 1
+        result: Indices = x * row + y
+        return result
+
+    reached: Mask = np.zeros(left.shape, dtype=bool)
+    edge = numbers(start[None])
+    while len(edge):
+        reached[edge], left[edge] = True, False
+        near = (edge[:, None] + steps).ravel()
+        near = near[left[near]]
+        owner[near] = np.arange(len(near))  # of several equal numbers, one is kept
+        edge = near[owner[near] == np.arange(len(near))]
+    result: Mask = reached[numbers(ends)]
     return result

@@ -130,7 +130,7 @@ class AvoidanceMotion:
         if self.state in (PathState.PAUSING, PathState.PAUSED):
             return
         if self.state is not PathState.FOLLOWING:
-            raise RefusedError(f"no tool path to pause: {self.state.value}")
+            raise RefusedError(f"no motion to pause: {self.state.value}")
         self._brake(now)
         self.state = PathState.PAUSING
 
@@ -151,7 +151,7 @@ class AvoidanceMotion:
             RefusedError: There is nothing to cancel.
         """
         if self.state is PathState.IDLE:
-            raise RefusedError(f"no tool path to cancel: {self.state.value}")
+            raise RefusedError(f"no motion to cancel: {self.state.value}")
         if self.state is PathState.FOLLOWING:
             self._brake(now)
         self.state = PathState.CANCELLING

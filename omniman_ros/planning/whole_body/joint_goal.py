@@ -12,7 +12,6 @@ from enum import Enum
 
 import numpy as np
 
-from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -20,10 +19,9 @@ from omniman_ros.core.se2 import wrap
 from omniman_ros.motion.axes import AXES, HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.planning.motion import HermiteTrajectory
-from omniman_ros.planning.route.problem import RouteProblem
-from omniman_ros.planning.route.search import RouteSearch
 from omniman_ros.planning.whole_body.body_balance import BodyBalance
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.carried_route import CarriedRoutes
 from omniman_ros.planning.whole_body.controller import OBSTACLE_CUTOFF
 from omniman_ros.planning.whole_body.joint_redundancy import JointPath, JointRedundancy
 from omniman_ros.planning.whole_body.linearisation import (
@@ -35,20 +33,11 @@ from omniman_ros.planning.whole_body.linearisation import (
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import BodySetup
-from omniman_ros.planning.whole_body.plan_check import CONSUMED, PlanCheck
+from omniman_ros.planning.whole_body.plan_check import CONSUMED, GAP_TOLERANCE, PlanCheck
 from omniman_ros.planning.whole_body.platform_path import NoPathError, PlatformPath
 from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import BodyTask
-from omniman_ros.planning.whole_body.tool_goal import (
-    GAP_FACTOR,
-    HEADINGS,
-    RESOLUTION,
-    RETREAT,
-    RETREAT_STEPS,
-    ROOM,
-    WORK,
-    covering_discs,
-)
+from omniman_ros.planning.whole_body.tool_goal import DETOUR_PERIOD, RETREAT, RETREAT_STEPS
 
 NODE = 0.1  #: Distance between the nodes of a way [m]
 LEAST_NODES = 4  #: Least number of nodes of a way
@@ -103,8 +92,9 @@ class JointGoalTask(BodyTask):
         search = _WaySearch(setup, goal, start, around, back)
         way = search.find()
         self._setup, self._goal, self._speed = setup, search.goal, search.along.speed
+        self._way_check, self._tried_at = search.check(way), -math.inf
         redundancy = JointRedundancy(search.model, way.joints)
-        super().__init__(setup, redundancy, way.platform, start, time, search.along)
+        super().__init__(search.setup, redundancy, way.platform, start, time, search.along)
 
     @property
     def description(self) -> str:
@@ -123,29 +113,39 @@ class JointGoalTask(BodyTask):
     def search(self, time: float, around: ObstacleSnapshot) -> None:
         """Find a `detour` from where the robot rests, if it needs one; see the base class.
 
-        It does where something stands in the rest of its way, or where it has left that.
+        It does where something stands in the rest of its way, or where it has left that; every
+        `DETOUR_PERIOD` at most.
         """
         z = self.controller.motion.sample(time)[0]
         place = float(z[PATH_PARAMETER])
-        found = _obstruction(self.check, self.way, self._speed, around, place)
+        found = _obstruction(self._way_check, self.way, self._speed, around, place)
         off = z[:3] - self.way.at(z[3:])[0][0]
         if found is None and np.abs(off).max() <= LEFT:
             return
-        if not self.rests(time):
-            if found is not None:
-                raise NoPathError(str(found), found)
-            return
-        start = self.redundancy.axes(z[None])[0]
-        before = np.linspace(place, max(place - RETREAT, 0.0), RETREAT_STEPS)
-        back = self.way.at(before)[0] + off  # beside the way, as the robot is
-        try:
-            self.detour = JointGoalTask(self._setup, self._goal, start, time, around)
-        except NoPathError:
-            self.detour = JointGoalTask(self._setup, self._goal, start, time, around, back)
+        refusal: InputError | None = None
+        if self.rests(time) and time - self._tried_at >= DETOUR_PERIOD:
+            self._tried_at = time
+            start = self.redundancy.axes(z[None])[0]
+            before = np.linspace(place, max(place - RETREAT, 0.0), RETREAT_STEPS)
+            aside = self.way.at(before)[0] + off  # beside the way, as the robot is
+            for back in (None, aside):
+                try:
+                    self.detour = JointGoalTask(self._setup, self._goal, start, time, around, back)
+                    return
+                except InputError as error:
+                    refusal = error
+        if found is not None:
+            raise NoPathError(str(found), found)
+        if refusal is not None:
+            raise refusal
 
 
 class _WaySearch:
-    """Search for the way of one goal."""
+    """Search for the way of one goal.
+
+    Attributes:
+        setup: The robot; :meth:`find` sets the gap that plans can keep up to the goal.
+    """
 
     def __init__(
         self,
@@ -160,7 +160,7 @@ class _WaySearch:
                 raise InputError(f"the {name} must be {AXES} finite positions")
             plausible.demand(axes[:2], plausible.LENGTH, f"{name}: position")
             plausible.demand(axes[2:3], plausible.ANGLE, f"{name}: heading")
-        self._setup, self._start = setup, start
+        self.setup, self._start = setup, start
         self._back = start[None, PLATFORM_COLUMNS] if back is None else back
         everything = np.arange(len(around.standing))
         self._around = around.selected(everything, np.zeros(0, dtype=np.intp))
@@ -190,7 +190,8 @@ class _WaySearch:
             raise InputError("platform and arm are already there")
         self._require_within_limits()
         self._require_own_clearance()
-        self._require_room()
+        dodge = replace(self.setup.dodge, clearance=self._room_at_goal())
+        self.setup = replace(self.setup, dodge=dodge)
         begin, end = self._start[JOINT_COLUMNS], self.goal[JOINT_COLUMNS]
         postures = {
             _Order.ON_THE_WAY: np.stack([begin, end]),
@@ -199,28 +200,39 @@ class _WaySearch:
         }
         ends = np.stack([self._back[-1], self.goal[PLATFORM_COLUMNS]])
         best: _Way | None = None
-        found: Obstruction | None = None
+        refusal: InputError | None = None
         for order, kept in postures.items():
-            way = self._timed(order, ends)  # no route is shorter
-            if best is not None and best.joints.end <= way.joints.end:
+            try:
+                way = self._timed(order, ends)  # no route is shorter
+                if best is not None and best.joints.end <= way.joints.end:
+                    continue
+                route = self._route(ends, kept)
+                if route is not None:
+                    way = self._timed(order, route)
+                found = _obstruction(self.check(way), way.platform, self.along.speed, self._around)
+                if found is not None:
+                    raise NoPathError(f"{found}, and there is no way around", found)
+            except InputError as error:
+                refusal = refusal or error
                 continue
-            route = self._route(ends, kept)
-            if route is not None:
-                way = self._timed(order, route)
-            fault = self._fault(way)
-            if fault is not None:
-                found = found or fault
-            elif best is None or way.joints.end < best.joints.end:
+            if best is None or way.joints.end < best.joints.end:
                 best = way
         if best is None:
-            assert found is not None
-            raise NoPathError(f"{found}, and there is no way around", found)
+            assert refusal is not None
+            raise refusal
         return best
 
+    def check(self, way: _Way) -> PlanCheck:
+        """Return the check that a way must pass: where it leaves less room, plans wait."""
+        kept = replace(self.setup.dodge, least_clearance=self.setup.dodge.clearance)
+        redundancy = JointRedundancy(self.model, way.joints)
+        return PlanCheck(redundancy, self._gaps, self._balance, None, self.setup.limits, kept)
+
     def _require_within_limits(self) -> None:
-        limits, joints = self._setup.limits, self.goal[JOINT_COLUMNS]
-        lower = limits.lower[JOINT_COLUMNS] + ANGLE_RESERVE
-        upper = limits.upper[JOINT_COLUMNS] - ANGLE_RESERVE
+        limits, joints = self.setup.limits, self.goal[JOINT_COLUMNS]
+        begin = self._start[JOINT_COLUMNS]  # what does not move may stay where it is
+        lower = np.minimum(limits.lower[JOINT_COLUMNS] + ANGLE_RESERVE, begin)
+        upper = np.maximum(limits.upper[JOINT_COLUMNS] - ANGLE_RESERVE, begin)
         for k in np.flatnonzero((joints < lower) | (joints > upper))[:1]:
             name = limits.names[JOINT_COLUMNS][k]
             raise InputError(
@@ -243,58 +255,43 @@ class _WaySearch:
             where = "at the goal" if is_near[-1] else on_line
             raise NoPathError(f"{where}, {found.reason}", found)
 
-    def _require_room(self) -> None:
-        """Require that the goal has the gap to what stands that plans keep."""
+    def _room_at_goal(self) -> float:
+        """Return the gap to what stands that plans can keep up to the goal [m].
+
+        Who is nearer to something already may stay so, down to the gap of plans that are followed.
+        """
+        clearance, least = self.setup.dodge.clearance, self.setup.dodge.least_clearance
         if not len(self._around.standing):
-            return
-        placed = self._gaps.spheres.place(self.goal[None, JOINT_COLUMNS])
-        standing = ObstacleSnapshot(standing=self._around.standing)
+            return clearance
+        axes = np.stack([self.goal, self._start])
+        placed = self._gaps.spheres.place(axes[:, JOINT_COLUMNS])
         gaps, parts = self._gaps.to_obstacles(
-            self.goal[None, PLATFORM_COLUMNS], placed.centre, standing, np.zeros(1), math.inf
+            axes[:, PLATFORM_COLUMNS], placed.centre, self._around, np.zeros(2), math.inf
         )
-        obstacle = int(gaps[0].argmin())
-        if gaps[0, obstacle] < self._setup.dodge.clearance:
+        left = gaps[0] - np.clip(gaps[1], least, clearance)
+        obstacle = int(left.argmin())
+        if left[obstacle] < -GAP_TOLERANCE:
             name = self._gaps.part_name(int(parts[0, obstacle]))
             other = self._around.labels()[obstacle]
             found = Obstruction(Cause.STANDING, 0.0, name, other)
             raise NoPathError(f"at the goal, {found.reason}", found)
-
-    def _fault(self, way: _Way) -> Obstruction | None:
-        """Return what stands in a way; None if it has room."""
-        # Plans wait where a way leaves less than the gap that they keep.
-        kept = replace(self._setup.dodge, least_clearance=self._setup.dodge.clearance)
-        redundancy = JointRedundancy(self.model, way.joints)
-        check = PlanCheck(redundancy, self._gaps, self._balance, None, self._setup.limits, kept)
-        return _obstruction(check, way.platform, self.along.speed, self._around)
+        return float(np.clip(gaps[0].min(), least, clearance))
 
     def _route(self, ends: Array, postures: Array) -> Array | None:
         """Return a route between two poses (2, 3) with room for postures (k, 6), if there is."""
         if np.abs(ends[1] - ends[0]).max() < SAME:
             return None
-        setup = self._setup
-        margin = GAP_FACTOR * setup.dodge.way.margin
-        outline = BodyOutline(setup.description, setup.tool, setup.load)
-        footprint = outline.footprint(postures, setup.dodge.way.margin)
-        (x_min, y_min), (x_max, y_max) = (
-            ends[:, :2].min(axis=0) - ROOM,
-            ends[:, :2].max(axis=0) + ROOM,
-        )
-        problem = RouteProblem(
-            ends[0],
-            ends[1],
-            footprint,
-            margin,
-            (1.0, 1.0 / float(self._scale[HEADING_COLUMN])),
-            covering_discs(self._around.standing),
-            None,
-            (x_min, y_min, x_max, y_max),
-        )
-        search = RouteSearch(problem, RESOLUTION, HEADINGS)
-        search.advance(WORK)
-        return None if search.route is None else search.route.samples(footprint.radius)[1]
+        rotation_length = float(self._scale[HEADING_COLUMN])
+        standing = self._around.standing
+        routes = CarriedRoutes(self.setup, postures, ends, rotation_length, standing)
+        return routes.between(*ends) if routes.may_reach(ends[0], ends[1:]).all() else None
 
     def _timed(self, order: _Order, poses: Array) -> _Way:
-        """Return a way on which the platform goes back, and then through poses (k, 3)."""
+        """Return a way on which the platform goes back, and then through poses (k, 3).
+
+        Raises:
+            InputError: It is longer than paths of the tool may be.
+        """
         poses = np.concatenate([self._back[:-1], poses])
         begin, end = self._start[JOINT_COLUMNS], self.goal[JOINT_COLUMNS]
         scale = self._scale
@@ -313,7 +310,9 @@ class _WaySearch:
             moves = left, left + turned
         else:
             moves = left + rest, left + rest + turned
-        length = max(float(driven[-1]), moves[1])
+        length, longest = max(float(driven[-1]), moves[1]), self.setup.path.max_length
+        if length > longest:
+            raise InputError(f"the way is {length:.4g} m long, at most {longest:g} m are accepted")
         at = np.linspace(0.0, length, 1 + max(LEAST_NODES, math.ceil(length / NODE)))
         nodes = np.column_stack([np.interp(at, driven, axis) for axis in poses.T])
         joints = begin + np.interp(at, moves, (0.0, 1.0))[:, None] * (end - begin)
@@ -332,17 +331,20 @@ def _obstruction(
     rate = CHECK_PACE * speed
     places = np.linspace(place, way.end, 2 + math.ceil((way.end - place) / CHECK_NODE))
     poses, slope = way.at(places)
-    motion = HermiteTrajectory.unchecked(
-        times=(places - place) / rate,
-        poses=np.column_stack([poses, places]),
-        velocities=rate * np.column_stack([slope, np.ones(len(places))]),
-        currents=np.zeros((len(places) - 1, 0)),
-    )
-    for begin in np.arange(0.0, motion.end, CHECK_DURATION).tolist():
-        part = motion.between(begin, min(begin + CHECK_DURATION, motion.end))
-        index = around.standing_near(part.poses[0, :2], OBSTACLE_CUTOFF + check.radius)
+    times, poses = (places - place) / rate, np.column_stack([poses, places])
+    velocities = rate * np.column_stack([slope, np.ones(len(places))])
+    count = math.ceil(CHECK_DURATION * rate / CHECK_NODE)
+    for k in range(0, len(places) - 1, count):
+        part = slice(k, k + count + 1)
+        motion = HermiteTrajectory.unchecked(
+            times=times[part],
+            poses=poses[part],
+            velocities=velocities[part],
+            currents=np.zeros((len(times[part]) - 1, 0)),
+        )
+        index = around.standing_near(poses[k, :2], OBSTACLE_CUTOFF + check.radius)
         near = around.selected(index, np.zeros(0, dtype=np.intp))
-        (verdict,) = check.judge([part], begin, begin, near)
+        (verdict,) = check.judge([motion], motion.start, motion.start, near)
         if verdict.obstruction is not None:
             return verdict.obstruction
     return None

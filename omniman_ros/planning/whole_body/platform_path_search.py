@@ -110,7 +110,7 @@ class PlatformPathSearch:
         """Find a way from coordinates (4 + d,) to the end of the path, past what stands.
 
         Raises:
-            NoWayError: There is none.
+            NoPathError: There is none.
         """
         tried = [self._free_rotations(start[COORDINATES:], COARSE_ROTATIONS)]
         if len(tried[0]) > 1:  # else as if the orientation was held

@@ -86,7 +86,7 @@ class BodyTask:
         """Find the way anew from where the robot is at a time [s], as something new stands.
 
         Raises:
-            NoWayError: There is none; the way before stays.
+            NoPathError: There is none; the way before stays.
         """
 
     @property
@@ -123,7 +123,7 @@ class WholeBodyTask(BodyTask):
 
     Raises:
         InputError: The input is invalid, the path is too far away, the arm starts near a
-            singularity, or there is no way for the platform (:class:`NoWayError`).
+            singularity, or there is no way for the platform (:class:`NoPathError`).
         SolverError: casadi has no HPIPM.
     """
 

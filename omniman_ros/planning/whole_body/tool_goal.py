@@ -11,32 +11,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from omniman_ros.collision.body_outline import BodyOutline
-from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.se2 import wrap
-from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.tool_curve import ROTATION_LENGTH
-from omniman_ros.planning.obstacles.clearance import Clearance
-from omniman_ros.planning.route.disc_reach import reached_by_disc
-from omniman_ros.planning.route.problem import RouteProblem
-from omniman_ros.planning.route.search import RouteSearch
+from omniman_ros.planning.whole_body.carried_route import CarriedRoutes
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.parameters import BodySetup
 from omniman_ros.planning.whole_body.platform_path import NoPathError
 from omniman_ros.planning.whole_body.redundancy import PATH_PARAMETER
 from omniman_ros.planning.whole_body.task import WholeBodyTask, path_search
-from omniman_ros.surroundings.ellipses import Ellipses
 
-#: Gap of the route relative to that of a way of the platform: a route halves it between its nodes
-GAP_FACTOR = 2.0
-ROOM = 4.0  #: Distance around start and goal that a route may use [m]
-RESOLUTION = 0.1  #: Edge of the route's lattice [m]
-HEADINGS = 16  #: Number of headings of the route's lattice
-WORK = 400_000  #: Largest effort of one search for a route [expansions]
 ENDS = 400  #: Number of poses of the platform at the goal that are looked at, about
 TRIES = 3  #: Number of ends of a route that are tried
 APART = (
@@ -46,7 +33,6 @@ BEFORE = (0.0, 0.3, 0.6)  #: Distances of a route's end from the platform's pose
 DETOUR_PERIOD = 5.0  #: Least time between two searches for a detour [s]
 RETREAT = 0.5  #: Length of the path on which the tool goes back before a detour [m]
 RETREAT_STEPS = 11  #: Number of poses on it
-PIECE = 0.1  #: Length of a long obstacle for which one disc stands, at least [m]
 
 
 class ToolGoalTask(WholeBodyTask):
@@ -136,58 +122,16 @@ def _routes(
 
     A route is poses (k, 3) of the platform, close to one another.
     """
-    margin = GAP_FACTOR * setup.dodge.way.margin
-    outline = BodyOutline(setup.description, setup.tool, setup.load)
-    footprint = outline.footprint(start[None, 3:], setup.dodge.way.margin)
-    discs = covering_discs(standing)
-    corners = np.stack([start[:2], ends[0, :2]])
-    (x_min, y_min), (x_max, y_max) = corners.min(axis=0) - ROOM, corners.max(axis=0) + ROOM
-    workspace = x_min, y_min, x_max, y_max
-    top = platform_top(setup.description.robot, setup.description.mount.z)
-    beside = discs.select((discs.lower < top) & (discs.upper > 0.0))
-    inner = _inscribed_radius(footprint.platform)
-    left = ends[Clearance(footprint, discs, workspace, margin + PIECE).gaps(ends) > margin]
-    left = left[reached_by_disc(start[:2], left[:, :2], inner, beside, workspace)]
+    corners = np.stack([start[:3], ends[0]])
+    routes = CarriedRoutes(setup, start[None, 3:], corners, ROTATION_LENGTH, standing)
+    left = ends[routes.have_room(ends)]
+    left = left[routes.may_reach(start, left)]
     for _ in range(TRIES):
         if not len(left):
             return
         end = left[0]
-        problem = RouteProblem(
-            start[:3], end, footprint, margin, (1.0, 1.0 / ROTATION_LENGTH), discs, None, workspace
-        )
-        search = RouteSearch(problem, RESOLUTION, HEADINGS)
-        search.advance(WORK)
-        if search.route is not None:
-            yield search.route.samples(footprint.radius)[1]
+        route = routes.between(start[:3], end)
+        if route is not None:
+            yield route
         turn = ROTATION_LENGTH * np.abs([wrap(angle) for angle in (left - end)[:, 2].tolist()])
         left = left[np.hypot(*(left - end)[:, :2].T) + turn > APART]
-
-
-def _inscribed_radius(platform: Rectangles) -> float:
-    """Return the radius of a disc around base_link within one of a platform's rectangles [m]."""
-    own = np.abs(np.stack(platform.own_centre, axis=-1))
-    return max(float((platform.half - own).min(axis=-1).max()), 0.0)
-
-
-def covering_discs(obstacles: UprightObstacles) -> Ellipses:
-    """Return discs that cover obstacles at their heights: several for a long one."""
-    long, short = obstacles.half.max(axis=0), obstacles.half.min(axis=0)
-    yaw = obstacles.yaw + 0.5 * math.pi * (obstacles.half[1] > obstacles.half[0])
-    count = np.maximum(np.ceil(long / np.maximum(short, PIECE)), 1.0).astype(np.intp)
-    owner = np.repeat(np.arange(len(count)), count)
-    index = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-    piece = (long / count)[owner]
-    along = (2.0 * index + 1.0) * piece - long[owner]
-    centre = obstacles.centre[:, owner] + along * np.stack([np.cos(yaw), np.sin(yaw)])[:, owner]
-    radius = np.hypot(piece, short[owner]) + obstacles.rounding[owner]
-    flat = np.zeros(len(owner))
-    return Ellipses(
-        0.0,
-        centre.T,
-        np.zeros((len(owner), 2)),
-        np.column_stack([radius, radius]),
-        flat,
-        flat,
-        obstacles.lower[owner],
-        obstacles.upper[owner],
-    )

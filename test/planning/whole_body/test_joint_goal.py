@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ import pytest
 from omniman_ros.collision.moving_obstacles import MovingObstacles
 from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.joint_goal import AT_GOAL, JointGoalTask
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
 from omniman_ros.planning.whole_body.platform_path import NoPathError
+from omniman_ros.planning.whole_body.tool_goal import DETOUR_PERIOD
 from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 from test.planning.whole_body.support import START, setup
 from test.planning.whole_body.test_task import drive
@@ -42,6 +45,10 @@ def least_gap(rows, discs):
         judge.place(q[:3], q[3:], np.array(discs)[:, :2])
         gaps.append(judge.distances(2.0).min())
     return min(gaps)
+
+
+def closed(x):
+    return walls((x, -12.0, 12.0))
 
 
 def wall_discs(x, low, high):
@@ -130,8 +137,17 @@ def test_a_walker_on_the_way_is_evaded():
     assert min(gaps) > SETUP.dodge.least_clearance
 
 
-def test_what_comes_to_stand_in_the_way_is_passed_from_where_the_robot_rests():
-    goal, wall = axes(3.0, 0.0, 0.0, AHEAD), walls((2.0, -1.2, 0.9))
+WALL = walls((2.0, -1.2, 0.9))  #: A wall across the straight way, with an end to pass
+NARROW = ObstacleSnapshot(
+    standing=UprightObstacles.join(
+        [UprightObstacles.cylinder(1.5, y, 0.1, (0.0, 0.2)) for y in (-0.5, 0.5)]
+    )
+)  #: Low posts that leave 5 cm on each side of the platform: less than plans keep
+
+
+@pytest.mark.parametrize("late", [WALL, NARROW], ids=["wall", "less room than plans keep"])
+def test_what_comes_to_stand_in_the_way_is_passed_from_where_the_robot_rests(late):
+    goal = axes(3.0, 0.0, 0.0, AHEAD)
     first = JointGoalTask(SETUP, goal, START, 0.0, FREE)
     first.search(0.0, FREE)
     assert first.detour is None, "nothing is in its way"
@@ -139,22 +155,105 @@ def test_what_comes_to_stand_in_the_way_is_passed_from_where_the_robot_rests():
     motion.follow(first)
     now = 0.0
     while not motion.task.is_completed(now) and now < 60.0:
-        motion.cycle(now, 1.0, wall if now > 1.0 else FREE)
+        motion.cycle(now, 1.0, late if now > 0.5 else FREE)
         if round(now / PERIOD) % 20 == 19 and motion.task is first:
             with contextlib.suppress(NoPathError):
-                first.search(now, wall)
+                first.search(now, late)
             motion.take_detour(now)
         now += PERIOD
     assert motion.task is not first and motion.task.is_completed(now)
     assert np.abs(motion.sample(np.array([now]))[0][0] - goal).max() < 2.0 * AT_GOAL
 
 
+def test_a_robot_that_has_left_its_way_without_another_one_says_why():
+    task = JointGoalTask(SETUP, axes(3.0, 0.0, 0.0, AHEAD), START, 0.0, FREE)
+    aside = np.array([0.0, 1.5, 0.0, 0.0])
+    task.controller.begin(0.0, aside)
+    task.search(0.0, FREE)
+    assert task.detour is not None and task.detour.begin[:3] == pytest.approx(aside[:3])
+    task.controller.begin(DETOUR_PERIOD, aside)
+    between = UprightObstacles.box((2.0, 0.75, 0.0), 20.0, THICKNESS, HEIGHTS)
+    with pytest.raises(NoPathError, match="standing solid 0, and there is no way around"):
+        task.search(DETOUR_PERIOD, ObstacleSnapshot(standing=between))
+
+
+def test_a_detour_is_paused_and_cancelled_and_none_is_taken_meanwhile():
+    goal = axes(3.0, 0.0, 0.0, AHEAD)
+    motion = AvoidanceMotion(SETUP.limits)
+    motion.follow(JointGoalTask(SETUP, goal, START, 0.0, FREE))
+    motion.task.search(0.0, WALL)
+    assert motion.take_detour(0.0)
+    task, now = motion.task, 0.0
+
+    def run(duration):
+        nonlocal now
+        for _ in range(round(duration / PERIOD)):
+            motion.cycle(now, 1.0, WALL)
+            motion.update(now)
+            now += PERIOD
+        return motion.sample(np.array([now]))[0][0]
+
+    run(2.0)
+    motion.pause(now)
+    here = run(2.0)
+    assert motion.state is PathState.PAUSED
+    task.detour = JointGoalTask(SETUP, goal, here, now, WALL)
+    assert not motion.take_detour(now) and motion.task is task
+    assert run(1.0) == pytest.approx(here, abs=1e-9)
+    motion.resume(now)
+    assert np.abs(run(1.0) - here).max() > 0.02
+    motion.cancel(now)
+    assert motion.state is PathState.CANCELLING
+    while motion.state is not PathState.IDLE:
+        motion.update(now)
+        now += PERIOD
+    assert now < 10.0
+
+
+def test_a_robot_that_waits_looks_for_a_detour_at_times_and_says_what_is_in_its_way():
+    task = JointGoalTask(SETUP, axes(3.0, 0.0, 0.0, AHEAD), START, 0.0, FREE)
+    for time, around in ((0.0, closed(2.0)), (DETOUR_PERIOD - 0.1, WALL)):
+        with pytest.raises(NoPathError, match="no room beside obstacle wall/0"):
+            task.search(time, around)
+        assert task.detour is None
+    task.search(DETOUR_PERIOD, WALL)
+    assert task.detour is not None
+
+
 def test_what_is_in_the_way_is_named_while_the_robot_moves():
     task = JointGoalTask(SETUP, axes(3.0, 0.0, 0.0, AHEAD), START, 0.0, FREE)
     drive(task, lambda now: FREE, 2.0)
     with pytest.raises(NoPathError, match="no room beside obstacle wall/0"):
-        task.search(2.0, walls((2.0, -1.2, 0.9)))
+        task.search(2.0, WALL)
     assert task.detour is None and not task.rests(2.0)
+
+
+UNMOVED = {
+    "a joint near its limit": (
+        axes(0.0, 0.0, 0.0, (*AHEAD[:5], 6.25)),
+        axes(0.5, 0.0, 0.0, (*AHEAD[:5], 6.25)),
+        FREE,
+    ),
+    "a platform near a post": (
+        START,
+        axes(0.0, 0.0, 0.0, TURNED[3:]),
+        ObstacleSnapshot(standing=UprightObstacles.cylinder(-0.655, 0.0, 0.1, HEIGHTS)),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNMOVED)
+def test_what_does_not_move_may_stay_closer_than_plans_lead(case):
+    start, goal, around = UNMOVED[case]
+    assert_arrives(JointGoalTask(SETUP, goal, start, 0.0, around), goal, around)
+
+
+def test_a_route_that_is_too_long_is_refused_with_its_length():
+    goal = axes(3.0, 0.0, 0.0, START[3:])
+    short = replace(SETUP, path=replace(SETUP.path, max_length=3.1))
+    JointGoalTask(short, goal, START, 0.0, FREE)  # does not raise
+    with pytest.raises(InputError, match=r"the way is [45]\.\d* m long, at most 3.1 m are "):
+        JointGoalTask(short, goal, START, 0.0, WALL)
 
 
 def test_joints_whose_straight_line_leads_through_the_robot_are_refused():
@@ -165,14 +264,11 @@ def test_joints_whose_straight_line_leads_through_the_robot_are_refused():
     assert refused.value.obstruction.cause is Cause.SELF
 
 
-def closed(x):
-    return walls((x, -12.0, 12.0))
-
-
 BAD = {
     "not finite": (axes(math.nan, 0.0, 0.0, AHEAD), FREE, "the goal must be 9 finite"),
     "too few": (TURNED[:8], FREE, "the goal must be 9 finite"),
     "far beyond": (axes(1e7, 0.0, 0.0, AHEAD), FREE, "goal: position"),
+    "too far": (axes(3e3, 3e3, 0.0, AHEAD), WALL, "the way is 4243 m long, at most 100 m"),
     "joint limit": (axes(1.0, 0.0, 0.0, (0.0, -1.2, 3.2, 0.0, 0.0, 0.0)), FREE, "elbow_joint = 3"),
     "in itself": (
         axes(1.0, 0.0, 0.0, (0.0, 0.5, 1.2, 0.0, -1.57, 0.0)),
@@ -180,6 +276,11 @@ BAD = {
         "at the goal, .* near to platform",
     ),
     "occupied": (TURNED, closed(2.3), "at the goal, platform has no room beside obstacle wall/0"),
+    "nearer than plans may end": (
+        axes(0.0, 0.0, 0.0, TURNED[3:]),
+        walls((-0.58, -1.0, 1.0)),
+        "at the goal, platform has no room beside obstacle wall/0",
+    ),
     "no way": (axes(4.0, 0.0, 0.0, AHEAD), closed(2.0), "along the path, .* wall/0, .* no way"),
     "there already": (START, FREE, "already there"),
 }

@@ -10,11 +10,12 @@ from omniman_ros.collision.upright_obstacles import UprightObstacles
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.planning.whole_body.avoidance_motion import AvoidanceMotion
+from omniman_ros.planning.whole_body.carried_route import covering_discs
 from omniman_ros.planning.whole_body.controller import PERIOD
 from omniman_ros.planning.whole_body.obstacle_snapshot import ObstacleSnapshot
 from omniman_ros.planning.whole_body.obstruction import Cause
 from omniman_ros.planning.whole_body.platform_path import NoPathError
-from omniman_ros.planning.whole_body.tool_goal import covering_discs, tool_goal_task
+from omniman_ros.planning.whole_body.tool_goal import tool_goal_task
 from omniman_ros.simulation.world.distances import ConfigurationDistances, Prism
 from test.planning.whole_body.support import START, posts, setup
 
