@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Odometry
 from rclpy.parameter import Parameter
 from visualization_msgs.msg import MarkerArray
 
@@ -165,3 +165,28 @@ def test_a_goal_in_an_unknown_frame_is_refused_after_the_wait():
         world.run(0.2)
         assert "frame 'moon', expected 'odom'" in world.warnings[0]
         assert world.node.loop.goals.counts[MotionEvent.REFUSED] == 1
+
+
+def test_a_goal_that_waits_for_its_frame_can_be_cancelled():
+    with LocalisedPlanner() as world:
+        world.goals.publish(goal(1.0, 0.0, frame="moon"))
+        world.run(0.1)
+        assert world.call_service("cancel").success
+        assert world.node.loop.goals.counts[MotionEvent.CANCELLED] == 1
+        assert not world.call_service("cancel").success
+        world.tf.send("odom", "moon", 0.0, 0.0, static=True)
+        world.run(0.4)
+        assert world.core.goal is None and not world.warnings
+
+
+def test_a_goal_whose_frame_is_known_too_late_does_not_replace_a_newer_one():
+    with LocalisedPlanner() as world:
+        world.goals.publish(goal(1.0, 0.0, frame="moon"))
+        states = world.publisher(Odometry, "goal_state")
+        states.publish(goal_state((2.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+        world.run(0.1)
+        newer = world.node.loop.goals.driven
+        world.tf.send("odom", "moon", 0.0, 0.0, static=True)
+        world.run(0.2)
+        assert any("a newer goal came" in text for text in world.warnings), world.warnings
+        assert world.node.loop.goals.driven is newer is not None

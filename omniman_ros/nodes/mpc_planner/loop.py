@@ -219,7 +219,8 @@ class PlannerLoop:
         self._node, self._planner, self._anchor = node, planner, anchor
         self._inputs, self._posture, self._monitor = inputs, posture, monitor
         self._publisher, self._plans = publisher, plans
-        self.goals, self._is_closed = MotionEvents(node).log(MotionInput.GOAL), False
+        self._events, self._is_closed = MotionEvents(node), False
+        self.goals = self._events.log(MotionInput.GOAL)
         self._pending = PendingMotion(
             node, monitor, self.goals, self._blocking_reason, conflict=lambda: ""
         )
@@ -234,6 +235,11 @@ class PlannerLoop:
 
     def submit(self, motion: LoggedMotion, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return or raise why it is refused."""
+        if motion.outcome is not None:  # cancelled while it waited for its frame
+            return ""
+        for other in (self._pending.motion, self.goals.driven):
+            if other is not None and other.number > motion.number:
+                raise self.goals.refuse(motion, "a newer goal came")
         try:
             if self._is_closed:
                 raise InputError("the node is shutting down")
@@ -283,8 +289,9 @@ class PlannerLoop:
 
     def cancel(self) -> str:
         """Bring the robot to rest and discard the goal; return any reason for refusal, or ""."""
+        was_waiting = self._events.cancel_received()
         if not self._pending and self._planner.goal is None:
-            return f"nothing to cancel: {self._planner.state.value}"
+            return "" if was_waiting else f"nothing to cancel: {self._planner.state.value}"
         self._pending.discard()
         self._brake_for_good(MotionEvent.CANCELLED)
         return ""
