@@ -86,6 +86,7 @@ def _in_processes(
     # Each is a new interpreter: forking a process that may have threads is not safe.
     spawn = multiprocessing.get_context("spawn")
     own, opened = threading.local(), list[ProcessPoolExecutor]()
+    is_ending = threading.Event()
 
     def computed(item: Item) -> Result:
         for _ in range(ATTEMPTS):
@@ -95,6 +96,8 @@ def _in_processes(
             try:
                 result: Result = own.process.submit(function, item).result()
             except BrokenProcessPool:
+                if is_ending.is_set():  # Ctrl-C ends all processes
+                    raise
                 say(f"the process of {item} has died: it is computed again")
                 own.process = None
             else:
@@ -106,6 +109,7 @@ def _in_processes(
     try:
         yield from threads.map(computed, items)
     finally:
+        is_ending.set()
         threads.shutdown(cancel_futures=True)
         for pool in opened:
             pool.shutdown(cancel_futures=True)

@@ -45,6 +45,12 @@ def fail(item):
     return item
 
 
+def sleep_long(folder, item):
+    """Sleep for longer than a test takes, once an item is said to be under way."""
+    Path(folder, f"begun_{item}").touch()
+    time.sleep(2.0 * START_UP)
+
+
 def threads(item):
     """Return how many threads numerical libraries may use."""
     return os.environ["OMP_NUM_THREADS"]
@@ -76,6 +82,24 @@ def test_drive_that_ends_each_process_is_named(capsys):
 def test_error_of_a_drive_is_that_of_the_sweep():
     with pytest.raises(ValueError, match="no drive 2"):
         list(Sweep(2).map(fail, range(5)))
+
+
+@pytest.mark.processes
+def test_interrupt_ends_all_processes(tmp_path):
+    program = (
+        "from functools import partial\n"
+        "from omniman_ros.lab.sweep import Sweep\n"
+        "from test.lab.test_sweep import sleep_long\n"
+        f"list(Sweep(2).map(partial(sleep_long, {str(tmp_path)!r}), range(6)))\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
+    deadline = time.monotonic() + START_UP
+    while len(list(tmp_path.iterdir())) < 2:
+        assert time.monotonic() < deadline and child.poll() is None
+        time.sleep(0.05)
+    os.killpg(child.pid, signal.SIGINT)
+    assert child.wait(START_UP) != 0
+    assert len(list(tmp_path.iterdir())) == 2
 
 
 def test_usage_errors_are_reported(monkeypatch):
