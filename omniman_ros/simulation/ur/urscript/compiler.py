@@ -116,9 +116,18 @@ class _Translation:
         self._depth, self._loops, self._temporaries = 0, 0, 0
 
     def compiled(self) -> dict[str, Any]:
-        """Return the generator functions, by symbol."""
+        """Return the generator functions, by symbol.
+
+        Raises:
+            ScriptError: Python does not accept the translation.
+        """
         found = dict(RUNTIME)
-        exec(compile(ast.fix_missing_locations(self._module), FILE, "exec"), found)
+        try:
+            exec(compile(ast.fix_missing_locations(self._module), FILE, "exec"), found)
+        except SyntaxError as error:
+            raise ScriptError(error.lineno or 1, f"not translated: {error.msg}") from error
+        except RecursionError as error:
+            raise ScriptError(1, f"not translated: {error}") from error
         return found
 
     def add(self, function: _Function, statements: list[ast.stmt]) -> None:
@@ -408,9 +417,10 @@ class _Translation:
             return _failing(values, f"'{name}': {error}")
         if len({*names}) < len(names):
             return _failing(values, f"'{name}': an argument stands there twice")
-        keywords = [ast.keyword(each, value) for each, value in zip(names, by_name, strict=True)]
         call = _call(f"ur.{name}", _path("thread.context"), *by_position)
-        call.keywords = keywords
+        if names:
+            # In a dictionary, for Python reserves names that a function without effect accepts.
+            call.keywords = [ast.keyword(None, ast.Dict([*map(_constant, names)], by_name))]
         return self._wait(call)
 
     def _wait(self, call: ast.expr) -> ast.expr:

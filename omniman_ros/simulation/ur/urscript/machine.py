@@ -166,7 +166,7 @@ class Machine:
             if thread is self._main:
                 self.stop("completed")
             return True
-        except OmnimanError as error:
+        except (OmnimanError, ArithmeticError, ValueError, TypeError) as error:
             self.stop(f"runtime error line {line_of_error(error, thread.run)}: {error}")
             return True
         return thread.handle not in self.threads or thread.wait.takes_time

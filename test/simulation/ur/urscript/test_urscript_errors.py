@@ -4,6 +4,7 @@ import re
 import pytest
 
 from omniman_ros.core.errors import InputError, OmnimanError
+from omniman_ros.simulation.ur.urscript import compiler
 from omniman_ros.simulation.ur.urscript.compiler import Program
 from omniman_ros.simulation.ur.urscript.errors import ScriptError
 from test.simulation.ur.urscript.driver_script import DRIVER
@@ -160,6 +161,7 @@ def test_long_chains_are_not_deep():
         ("kill True", "True is no thread"),
         ("join a", "[1, 2] is no thread"),
         ('b = to_num("x")', "'x' is no number"),
+        (f'b = to_num("{"9" * 400}")', f"'{'9' * 400}' is no number"),
         ('b = str_at("x", 1)', "index 1 is out of range of a string of 1"),
         ('sleep("x")', "t is no number but string x"),
         ("write_output_integer_register(0, 0.5)", "value is no whole number but 0.5"),
@@ -172,6 +174,27 @@ def test_what_cannot_be_executed_is_a_runtime_error_with_its_line(statement, rea
     line, message = fault_of(before + statement)
     assert message == reason
     assert line == (6 if statement == "g()" else 8)
+
+
+def test_names_that_python_reserves_are_names_of_arguments():
+    assert ran("set_tcp(p[0,0,0,0,0,0], __debug__=1, None=2, class=3)").end == "completed"
+
+
+def test_what_python_cannot_translate_is_refused_with_its_line(monkeypatch):
+    monkeypatch.setattr(compiler, "MAX_LOOPS", 30)  # Python has 20
+    with pytest.raises(ScriptError, match=r"^line 2\d: .*too many statically nested blocks"):
+        Program("while True:\n" * 25 + "end\n" * 25)
+
+
+@pytest.mark.parametrize("kind", [OverflowError, ValueError, TypeError])
+def test_a_calculation_that_fails_is_a_runtime_error_with_its_line(kind):
+    bench = Bench("\nis_steady()")
+
+    def fail():
+        raise kind("no result")
+
+    bench.host.is_steady = fail
+    assert bench.step().end == "runtime error line 2: no result"
 
 
 def test_unknown_functions_may_be_mentioned():
