@@ -18,8 +18,10 @@ SOURCE = 254  #: Source of messages from the controller itself: -2 as an unsigne
 PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"  #: The controller's software
 REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0  #: Control mode, and largest speed fraction
 
+#: Strings as in the grammar, which has no escapes; one without an end takes the rest of its line,
+#: so that no text is read twice
 _TOKENS = re.compile(
-    r"""(?P<skip>\#[^\n]*|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
+    r"""(?P<skip>\#[^\n]*|"[^"\n]*"?|'[^'\n]*'?)"""
     r"""|\b(?P<word>def|sec|thread|if|while|switch|case|end)\b|\b(?P<default>default)\s*:"""
 )
 _BEGINS = re.compile(r"\s*(?:def|sec|thread)\b")
