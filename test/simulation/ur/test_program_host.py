@@ -76,13 +76,35 @@ def call(draw, name):
     return f"{name}({', '.join(arguments)})"
 
 
+def controller_of(network=None):
+    """A controller without ports that runs programs in URScript."""
+    parameters = UrArmParameters()
+    launch = launcher(network or ProgramSockets())
+    return Cb3Controller(parameters, SimulatedArm(parameters), launch)
+
+
+@pytest.mark.parametrize(
+    ("text", "is_secondary"),
+    [
+        ("second = 1\nwhile second:\n  sync()\nend\n", False),
+        ("section()\n", False),
+        ("sec s():\n  x = 1\nend\n", True),
+        ("# a comment\nsec s():\n  x = 1\nend\n", True),
+    ],
+)
+def test_only_a_secondary_program_leaves_the_running_one_alone(text, is_secondary):
+    controller = controller_of()
+    assert controller.start("while True:\n  sync()\nend\n") and controller.start(text)
+    assert controller.counts.programs == 2 - is_secondary
+
+
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
 @settings(max_examples=30)
 @given(data=st.data())
 def test_no_call_ends_the_controller(name, data):
     text = f"{data.draw(call(name))}\nsync()\n"
-    parameters, network = UrArmParameters(), ProgramSockets()
-    controller = Cb3Controller(parameters, SimulatedArm(parameters), launcher(network))
+    network = ProgramSockets()
+    controller = controller_of(network)
     assert controller.start(text), controller.log
     for cycle in range(4):
         controller.cycle(0.008 * cycle)

@@ -99,7 +99,7 @@ class Machine:
         self.variables = Variables({})  #: Global variables
         self.context = Context(host, Random(seed))  #: What the controller's functions work on
         self.max_work = max_work  #: Budget of each thread in a cycle
-        self._takes_no_time = program.secondary
+        self.is_secondary = program.secondary  #: Whether it takes no time
         self._last_handle = 0
         self._started = 0  # in this cycle
         self._main = Thread(self, 0, program.main)
@@ -165,7 +165,7 @@ class Machine:
             answer = thread.wait.poll()
             while answer is not PENDING:
                 thread.wait = thread.run.send(answer)
-                if self._takes_no_time and thread.wait.takes_time:
+                if self.is_secondary and thread.wait.takes_time:
                     raise ScriptRuntimeError("a secondary program cannot take time")
                 answer = PENDING if thread.wait.takes_time else thread.wait.poll()
         except StopIteration:
