@@ -716,6 +716,9 @@ def bad_inputs(rig):
         "preview that is over": lambda: core.set_preview(
             Source.MPC, Preview(np.array([now - 3, now - 2]), **GOOD_PREVIEW), now
         ),
+        "preview that begins late": lambda: core.set_preview(
+            Source.MPC, Preview(np.array([now + 1.1, now + 2]), **GOOD_PREVIEW), now
+        ),
         "wheels not finite": lambda: core.update_wheels(now + 1e-3, now, ok * NAN, ok),
         "wheels huge": lambda: core.update_wheels(now + 1e-3, now, ok * 1e300, ok),
         "wheel speeds infinite": lambda: core.update_wheels(now + 1e-3, now, None, ok * INF),

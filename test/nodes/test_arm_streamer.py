@@ -185,6 +185,15 @@ def test_streamer_starts_itself_moves_the_arm_and_reports():
         assert (status.level, status.message) == (ERROR, "~/stop")
 
 
+def test_preview_that_the_streaming_process_refuses_is_a_warning():
+    with Bench() as bench:
+        bench.until(bench.streams, "streaming")
+        far = bench.arm.place + 1.0
+        bench.previews.publish(bench.preview(lambda t: (far, np.zeros(6))))
+        bench.until(lambda: bench.node.warning_counts, "a warning")
+        assert bench.node.warning_counts == {"arm/joint_reference": 1}
+
+
 def test_life_cycle_connects_holds_stops_and_disconnects():
     with Bench(autostart=False) as bench:
         arm = bench.arm

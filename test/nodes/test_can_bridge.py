@@ -368,6 +368,16 @@ def test_an_interface_that_went_away_comes_back_with_a_reset():
         bench.until(lambda: min(bench.bus.speeds) > 2.0, "the speed")
 
 
+def test_a_reset_in_motion_is_refused():
+    with Bench() as bench:
+        bench.drive()
+        assert bench.trigger("stop").success
+        refused = bench.trigger("reset")
+        assert min(bench.bus.speeds) > 1.0
+        assert not refused.success and not bench.node.latch.released
+        bench.until(lambda: bench.bus.at_rest, "rest")
+
+
 def test_invalid_transition_is_refused_and_driving_continues():
     with Bench() as bench:
         bench.drive()

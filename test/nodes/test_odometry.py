@@ -166,9 +166,11 @@ def test_set_pose_and_reset_odometry_set_the_pose(wheels):
     message = PoseWithCovarianceStamped()
     message.header.frame_id = "odom"
     message.pose.pose.position.x = 2.0
+    message.pose.covariance[0] = message.pose.covariance[7] = 0.25
     publisher.publish(message)
     wheels.run(0.1)
     assert wheels.core.odometry.pose == (2.0, 0.0, 0.0)
+    assert np.diag(wheels.core.odometry.covariance) == pytest.approx([0.25, 0.25, 0.0])
     message.header.frame_id, message.pose.pose.position.x = "map", 5.0
     publisher.publish(message)
     wheels.run(0.1)

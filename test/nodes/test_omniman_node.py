@@ -4,6 +4,7 @@ import math
 from types import SimpleNamespace
 
 import pytest
+from builtin_interfaces.msg import Time as TimeMsg
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
@@ -57,6 +58,10 @@ def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_cloc
         feedback = node.core.feedback
         assert feedback.time == pytest.approx(1e-9 * due, abs=1e-4)
     assert not node.warning_counts
+
+
+def test_a_stamp_before_1970_is_stale(node):
+    assert node.age(TimeMsg(sec=-1)) > 1.0
 
 
 def test_a_message_that_was_repaired_is_used_and_that_is_said_once():

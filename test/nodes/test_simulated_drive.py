@@ -85,6 +85,31 @@ def test_torque_and_voltage_modes_move_the_robot(drive):
     assert last(drive.truth).twist.twist.linear.x > speed
 
 
+@pytest.mark.parametrize(
+    "way",
+    [
+        lambda drive: drive.command(0.5, [3.0] * 4, age=0.5),
+        lambda drive: drive.command(0.5, effort=[2.0] * 4, age=0.5),
+        lambda drive: drive.volts(0.5, [12.0] * 4, age=0.5),
+    ],
+    ids=["velocity", "torque", "voltage"],
+)
+def test_a_stale_command_moves_nothing(drive, way):
+    way(drive)
+    assert np.abs(drive.speeds).max() < 0.02
+
+
+def test_a_reset_in_motion_is_refused_and_one_at_rest_lets_commands_move_the_wheels(drive):
+    drive.command(1.0, [4.0] * 4)
+    service(drive)
+    refused = drive.call(Trigger, "simulated_drive/reset")
+    assert not refused.success and drive.speeds.min() > 1.0
+    drive.run(1.0)
+    assert drive.call(Trigger, "simulated_drive/reset").success
+    drive.command(1.0, [3.0] * 4)
+    assert drive.speeds == pytest.approx([3.0] * 4, abs=0.1)
+
+
 def test_topics_have_their_rates_and_the_electrical_layout(drive):
     electrical = drive.listen(Float64MultiArray, "wheel_electrical")
     before = len(drive.states), len(drive.truth), len(electrical)
@@ -230,7 +255,9 @@ def test_drive_fault_latches_a_stop_and_is_published(drive):
     assert drive.set("faults.frozen_encoder", ["rear_left"]).successful
     drive.command(1.0, [2.0] * 4)
     assert last(states).level == DiagnosticStatus.ERROR and "rear_left" in last(states).message
-    assert not drive.call(Trigger, "simulated_drive/reset").success or drive.speeds.max() < 0.1
+    assert drive.call(Trigger, "simulated_drive/reset").success, "the wheels are at rest"
+    drive.command(1.0, [2.0] * 4)
+    assert "rear_left" in last(states).message, "the fault is still there"
 
 
 def test_stopped_drive_warns_only_of_commands_to_move(drive):

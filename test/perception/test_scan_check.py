@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.perception.no_return import (
     NAN,
@@ -32,6 +33,22 @@ MEANT = {
 def test_only_the_declared_value_and_infinity_mean_that_nothing_is_in_range(no_return):
     found = rep117_ranges(SENT, RANGE_MIN, RANGE_MAX_M, no_return)
     np.testing.assert_array_equal(found, MEANT[no_return])
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"increment": 0.0}, "its beams span 0.000 rad"),
+        ({"increment": -0.7}, "its beams span 6.300 rad"),
+        ({"range_max": 0.0}, "range_max is 0.0 m"),
+        ({"beam_time": -0.01}, "time_increment is -0.01 s"),
+        ({"beam_time": 0.11}, "time_increment is 0.11 s"),
+    ],
+)
+def test_a_scan_that_no_scanner_makes_is_refused(change, text):
+    numbers = {"angle_min": 0.0, "increment": 0.6, "range_max": 30.0, "beam_time": 0.1} | change
+    with pytest.raises(InputError, match=f"^{text}, expected"):
+        Scan(time=0.0, ranges=np.ones(10), mount=(0.0, 0.0, 0.0), **numbers)
 
 
 def fault(*beams):

@@ -48,6 +48,10 @@ class RunningProgram(Protocol):
         """Close all messages on the pendant."""
 
     @property
+    def is_secondary(self) -> bool:
+        """Whether it runs beside the program, and takes no time."""
+
+    @property
     def running(self) -> bool:
         """Whether the program has not ended."""
 
@@ -273,7 +277,7 @@ class Cb3Controller:
             self.counts.refused += 1
             self._log(f"program refused: {error}")
             return False
-        if text.lstrip().startswith("sec"):
+        if program.is_secondary:
             self._secondary.append(program)
             return True
         self.stop("another program was started")

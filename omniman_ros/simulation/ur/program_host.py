@@ -1,17 +1,21 @@
 """Host of a URScript program: the functions by which it uses the controller that runs it."""
 
-import math
-
 import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import rtde_outputs
-from omniman_ros.simulation.ur.arm import CYCLE, JOINTS
+from omniman_ros.simulation.ur.arm import CYCLE
 from omniman_ros.simulation.ur.controller import Cb3Controller
 from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, StopJ
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Done, Joints
+
+#: Largest magnitude of what a motion command accepts [rad, rad/s, rad/s^2, s], far beyond what the
+#: arm can do; it keeps the arithmetic of the motion finite
+MOST = 1e6
+LOOKAHEAD_TIME = 0.03, 0.2  #: Lookahead times that servoj accepts [s] (URScript manual, servoj)
+GAIN = 100.0, 2000.0  #: Gains that servoj accepts (ibid.)
 
 
 class ProgramHost:
@@ -32,8 +36,11 @@ class ProgramHost:
         controller.counts.servo_calls += 1
         controller.counts.servo_repeats += q == self._last_servo
         self._last_servo = q
-        if not np.all(np.isfinite(q)):
-            controller.protective_stop(f"servoj angles must be finite, not {q}")
+        _require_within(t, "a time", -MOST, MOST)
+        _require_within(lookahead_time, "a lookahead time", *LOOKAHEAD_TIME)
+        _require_within(gain, "a gain", *GAIN)
+        if not np.all(np.abs(q) <= MOST):  # NaN is not, either
+            controller.protective_stop(f"servoj angles must be up to {MOST:g} rad, not {q}")
             return lambda: True
         # The time need not be a multiple of the cycle: the last command overran by this much.
         last = controller.motion
@@ -43,6 +50,7 @@ class ProgramHost:
 
     def speedj(self, qd: Joints, a: float, t: float) -> Done:
         """Accelerate to joint speeds [rad/s] with a [rad/s^2] for t [s], or no limit if t = 0."""
+        _require_within(t, "a time", 0.0, MOST)
         return self._controller.command(SpeedJ(_joint_array(qd), _positive(a), t))
 
     def stopj(self, a: float) -> Done:
@@ -51,6 +59,8 @@ class ProgramHost:
 
     def movej(self, q: Joints, a: float, v: float, t: float, r: float) -> Done:
         """Move to joint angles [rad] and come to rest there; blends are not simulated."""
+        if t != 0.0:
+            _require_within(t, "a time", CYCLE, MOST)
         return self._controller.command(MoveJ(_joint_array(q), _positive(a), _positive(v), t))
 
     def joints(self, what: str) -> Joints:
@@ -101,12 +111,20 @@ class ProgramHost:
 
 
 def _positive(value: float) -> float:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ScriptRuntimeError(f"an acceleration or speed must be positive, not {value}")
+    if not 0.0 < value <= MOST:
+        raise ScriptRuntimeError(
+            f"an acceleration or speed must be above 0 and up to {MOST:g}, not {value}"
+        )
     return value
 
 
+def _require_within(value: float, what: str, low: float, high: float) -> None:
+    """Raise a ScriptRuntimeError if a value is not within bounds; NaN is not."""
+    if not low <= value <= high:
+        raise ScriptRuntimeError(f"{what} must be {low:g} to {high:g}, not {value}")
+
+
 def _joint_array(values: Joints) -> Array:
-    if len(values) != JOINTS or not np.all(np.isfinite(values)):
-        raise ScriptRuntimeError(f"joint values must be {JOINTS} finite numbers, not {values}")
+    for value in values:
+        _require_within(value, "a joint value", -MOST, MOST)
     return np.array(values, dtype=float)

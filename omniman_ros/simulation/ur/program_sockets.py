@@ -61,8 +61,8 @@ class ProgramSockets:
             if writable and not connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
                 self._open[name], self._buffered[name] = connection, b""
                 return True
-        except (OSError, OverflowError, UnicodeError):
-            pass
+        except (OSError, OverflowError, TypeError, ValueError):
+            pass  # the last three are of what is no address or port
         connection.close()
         return False
 

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 
-MAX_PROGRAM_LENGTH = 1 << 20  #: Length of the longest program that is accepted [bytes]
+#: Length of the longest program that is accepted [bytes]; that of ur_rtde has 38,000. Nobody is
+#: served while a program is translated, which takes up to 30 s for one of this length.
+MAX_PROGRAM_LENGTH = 1 << 18
 #: Types of packages, and type of the robot message that reports the version
 ROBOT_STATE, ROBOT_MESSAGE, VERSION_MESSAGE = 16, 20, 3
 MODE_DATA, JOINT_DATA, CARTESIAN_INFO = 0, 1, 4  #: Types of the parts of a robot state
@@ -18,8 +20,10 @@ SOURCE = 254  #: Source of messages from the controller itself: -2 as an unsigne
 PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"  #: The controller's software
 REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0  #: Control mode, and largest speed fraction
 
+#: Strings as in the grammar, which has no escapes; one without an end takes the rest of its line,
+#: so that no text is read twice
 _TOKENS = re.compile(
-    r"""(?P<skip>\#[^\n]*|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
+    r"""(?P<skip>\#[^\n]*|"[^"\n]*"?|'[^'\n]*'?)"""
     r"""|\b(?P<word>def|sec|thread|if|while|switch|case|end)\b|\b(?P<default>default)\s*:"""
 )
 _BEGINS = re.compile(r"\s*(?:def|sec|thread)\b")
@@ -39,7 +43,7 @@ class ProgramReader:
         self._length = 0
 
     def receive(self, data: bytes) -> list[str]:
-        """Return the programs that bytes complete; above 1 MiB, one raises an InputError."""
+        """Return the programs that bytes complete; one that is too long raises an InputError."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         programs = []
         for raw in lines:

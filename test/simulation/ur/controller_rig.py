@@ -12,6 +12,8 @@ from omniman_ros.simulation.ur.urscript.errors import ScriptError
 class Script:
     """A program that calls a function of controller and cycle number once per cycle."""
 
+    is_secondary = False
+
     def __init__(self, each, host):
         self.each, self.host, self.steps, self.end_reason = each, host, 0, ""
 

@@ -68,6 +68,11 @@ def test_end_of_a_connection_is_noticed_in_a_missed_cycle(rig):
     assert rig.network.take("peer", SIZE) is None
 
 
+@pytest.mark.parametrize("host", ["a\0b", "\ud800", "a" * 400])
+def test_what_is_no_address_is_not_connected(host):
+    assert not ProgramSockets().open(host, 80, "peer")
+
+
 def test_connection_that_is_opened_again_has_no_old_share(rig):
     rig.send(1)
     rig.network.admit(10)

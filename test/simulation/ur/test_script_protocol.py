@@ -1,6 +1,7 @@
 """Program text from a stream of bytes, and the messages sent on the same ports."""
 
 import struct
+import time
 
 import pytest
 
@@ -51,6 +52,18 @@ def test_single_line_is_a_program_unless_blank_or_a_comment():
 
 def test_definition_in_one_line_is_complete():
     assert ProgramReader().receive(b"def f(): stopj(2) end\n") == ["def f(): stopj(2) end\n"]
+
+
+@pytest.mark.parametrize("quote", ['"', "'"])
+def test_string_that_does_not_end_is_read_once(quote):
+    line = f"def f(): x = {quote}" + f"\\{quote}" * 20_000
+    begin = time.process_time()
+    assert script_protocol.depth(line) == 1
+    assert time.process_time() - begin < 1.0
+
+
+def test_string_ends_at_the_quote_where_the_grammar_ends_it():
+    assert ProgramReader().receive(b'def f(): textmsg("\\") end\n') != []
 
 
 @pytest.mark.parametrize("begin", [b"", b"def f():\n"])

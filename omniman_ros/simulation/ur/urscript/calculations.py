@@ -55,7 +55,7 @@ def to_num(context: Context, s: Value) -> float:
     word = text(s, "s").strip()
     try:
         return float(word) if "." in word or "e" in word.lower() else integer(int(word), "s")
-    except ValueError:
+    except (ValueError, OverflowError):
         raise ScriptRuntimeError(f"'{word}' is no number") from None
 
 

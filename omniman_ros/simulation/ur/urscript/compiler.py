@@ -37,7 +37,6 @@ from omniman_ros.simulation.ur.urscript.values import (
     element,
     make_list,
     make_pose,
-    negative,
     truth,
 )
 
@@ -49,6 +48,7 @@ Run: TypeAlias = "GeneratorType[Wait, Any, Value]"
 Code = TypeVar("Code", ast.expr, ast.stmt)
 
 MAX_LOOPS = 20  #: Largest number of loops within each other, which is Python's
+CALL_WORK = 10  #: Work of a function of the controller, counted in nodes of expressions
 FILE = "<urscript>"  #: Name of the file of translated code, by which it is found in a traceback
 
 
@@ -113,12 +113,22 @@ class _Translation:
         #: Functions that can be called, those of the innermost definition first
         self.scope: ChainMap[str, _Function] = ChainMap()
         self._module = ast.Module([], [])
-        self._depth, self._loops, self._temporaries = 0, 0, 0
+        self._depth, self._loops, self._symbols = 0, 0, 0
+        self._nodes = 0  # of the expressions of the statement that is being translated
 
     def compiled(self) -> dict[str, Any]:
-        """Return the generator functions, by symbol."""
+        """Return the generator functions, by symbol.
+
+        Raises:
+            ScriptError: Python does not accept the translation.
+        """
         found = dict(RUNTIME)
-        exec(compile(ast.fix_missing_locations(self._module), FILE, "exec"), found)
+        try:
+            exec(compile(ast.fix_missing_locations(self._module), FILE, "exec"), found)
+        except SyntaxError as error:
+            raise ScriptError(error.lineno or 1, f"not translated: {error.msg}") from error
+        except RecursionError as error:
+            raise ScriptError(1, f"not translated: {error}") from error
         return found
 
     def add(self, function: _Function, statements: list[ast.stmt]) -> None:
@@ -149,15 +159,15 @@ class _Translation:
         optional = frozenset(
             str(each.children[0]) for each in _subtrees(parameters) if each.children[1] is not None
         )
-        self._temporaries += 1
-        symbol = f"{name} {self._temporaries}"
+        self._symbols += 1
+        symbol = f"{name} {self._symbols}"
         function = _Function(str(name), symbol, is_thread, names, optional)
         self.scope[function.name] = function
         return function
 
     def _define(self, node: Node, function: _Function) -> None:
         parameters, block = _subtrees(node)
-        self.scope = self.scope.new_child()
+        self.scope, self._nodes = self.scope.new_child(), 0
         defaults: list[ast.stmt] = []
         for parameter in _subtrees(parameters):
             name, default = parameter.children
@@ -165,6 +175,8 @@ class _Translation:
                 missing = ast.Compare(_constant(name), [ast.NotIn()], [_load("own")])
                 value = self.expression(default)
                 defaults.append(ast.If(missing, [ast.Assign([_variable("own", name)], value)], []))
+        if defaults:
+            defaults.insert(0, _on_line(node, _charge(self._nodes)))
         self.add(function, defaults + self.body(block))
         self.scope = self.scope.parents
 
@@ -177,9 +189,11 @@ class _Translation:
         self._depth -= 1
 
     def _temporary(self) -> tuple[ast.Name, ast.Name]:
-        """Return a local variable of the generator function, to store and to load."""
-        self._temporaries += 1
-        name = f"_{self._temporaries}"
+        """Return a local variable of the generator function, to store and to load.
+
+        There is one per depth: what is around a node, and may be in use, is less deep.
+        """
+        name = f"_{self._depth}"
         return ast.Name(name, ast.Store()), _load(name)
 
     # ---- statements --------------------------------------------------------------------------
@@ -190,8 +204,11 @@ class _Translation:
         with self._deeper(block):
             for node in _subtrees(block):
                 if node.data not in ("definition", "pass_statement"):
-                    translated = [_charge(), *getattr(self, f"_{node.data}")(node)]
-                    statements += [_on_line(node, statement) for statement in translated]
+                    around, self._nodes = self._nodes, 0
+                    translated = getattr(self, f"_{node.data}")(node)
+                    charge = _charge(1 + self._nodes)
+                    statements += [_on_line(node, each) for each in (charge, *translated)]
+                    self._nodes = around
         return statements or [ast.Pass()]
 
     def _expression_statement(self, node: Node) -> list[ast.stmt]:
@@ -237,10 +254,11 @@ class _Translation:
     def _while(self, node: Node) -> list[ast.stmt]:
         condition, block = node.children
         test = self._condition(condition)
+        charge = _charge(1 + self._nodes)
         self._loops += 1
         if self._loops > MAX_LOOPS:
             raise ScriptError(_line(node), f"loops are nested more than {MAX_LOOPS} deep")
-        body = [_on_line(node, _charge()), *self.block(block)]
+        body = [_on_line(node, charge), *self.block(block)]
         self._loops -= 1
         return [ast.While(test, body, [])]
 
@@ -273,6 +291,7 @@ class _Translation:
     def expression(self, node: Any) -> ast.expr:
         """Translate an expression; an invalid one raises a ScriptError."""
         inner = _without_parentheses(node)
+        self._nodes += 1
         with self._deeper(inner):
             translated: ast.expr = getattr(self, f"_{inner.data}")(inner)
         return _on_line(inner, translated)
@@ -305,15 +324,22 @@ class _Translation:
     def _chain(self, node: Node) -> ast.expr:
         """Translate binary operators of equal precedence, which apply from left to right.
 
-        Python would nest them: `a - b + c` becomes `(_1 := a, _1 := _1 - b, _1 := _1 + c)[-1]`.
+        Python would nest them: `a - b + c` becomes `(_1 := a) is Wait or charged(_1 := _1 - b) or
+        charged(_1 := _1 + c) or _1`, where `charged(x)` is `type(x) is tuple and
+        thread.charge_list(_1)`. None but the last of these is true, so every step is made, and
+        none but the last result is kept.
         """
         later, result = self._temporary()
         first, *rest = node.children
-        steps: list[ast.expr] = [ast.NamedExpr(later, self.expression(first))]
+        begun = ast.NamedExpr(later, self.expression(first))
+        steps: list[ast.expr] = [ast.Compare(begun, [ast.Is()], [_load("Wait")])]
         for symbol, operand in zip(rest[::2], rest[1::2], strict=True):
             applied = _on_line(symbol, _call(str(symbol), result, self.expression(operand)))
-            steps.append(ast.NamedExpr(later, applied))
-        return ast.Subscript(ast.Tuple(steps, ast.Load()), ast.Constant(-1), ast.Load())
+            kind = _call("type", ast.NamedExpr(later, applied))
+            is_list = ast.Compare(kind, [ast.Is()], [_load("tuple")])
+            charged = [is_list, _on_line(symbol, _call("thread.charge_list", result))]
+            steps.append(ast.BoolOp(ast.And(), charged))
+        return ast.BoolOp(ast.Or(), [*steps, result])
 
     _comparison = _sum = _product = _chain
 
@@ -333,8 +359,13 @@ class _Translation:
 
     def _sign(self, node: Node) -> ast.expr:
         sign, operand = node.children
-        value = self.expression(operand)
-        return value if sign == "+" else _call("negative", value)
+        if sign == "+":
+            return self.expression(operand)
+        times, minus_one = Token("SCALE", "*", line=_line(node)), Tree("minus_one", [])
+        return self._chain(Tree("product", [minus_one, times, operand]))
+
+    def _minus_one(self, node: Node) -> ast.expr:
+        return ast.Constant(-1)
 
     def _list(self, node: Node) -> ast.expr:
         return _call("make_list", self._elements(node.children))
@@ -359,6 +390,7 @@ class _Translation:
         name, (values, names) = str(node.children[0]), self._arguments(node)
         function = self.scope.get(name)
         if function is None:
+            self._nodes += CALL_WORK
             return self._controller_call(name, values, names)
         if function.is_thread:
             return _failing(values, f"'{name}' is a thread: run it")
@@ -408,9 +440,10 @@ class _Translation:
             return _failing(values, f"'{name}': {error}")
         if len({*names}) < len(names):
             return _failing(values, f"'{name}': an argument stands there twice")
-        keywords = [ast.keyword(each, value) for each, value in zip(names, by_name, strict=True)]
         call = _call(f"ur.{name}", _path("thread.context"), *by_position)
-        call.keywords = keywords
+        if names:
+            # In a dictionary, for Python reserves names that a function without effect accepts.
+            call.keywords = [ast.keyword(None, ast.Dict([*map(_constant, names)], by_name))]
         return self._wait(call)
 
     def _wait(self, call: ast.expr) -> ast.expr:
@@ -494,8 +527,8 @@ def _variable(variables: str, name: Any) -> ast.Subscript:
     return ast.Subscript(_path(variables), _constant(name), ast.Store())
 
 
-def _charge() -> ast.stmt:
-    return ast.Expr(_call("thread.charge"))
+def _charge(work: int) -> ast.stmt:
+    return ast.Expr(_call("thread.charge", ast.Constant(work)))
 
 
 def _failing(values: list[ast.expr], message: str) -> ast.expr:
@@ -520,6 +553,6 @@ def _signature(name: str) -> inspect.Signature:
 RUNTIME: dict[str, Any] = {
     **BINARY,
     **{f"ur.{name}": function for name, function in FUNCTIONS.items()},
-    **{"fail": _fail, "Wait": Wait, "truth": truth, "negative": negative},
+    **{"fail": _fail, "Wait": Wait, "truth": truth},
     **{"element": element, "make_list": make_list, "make_pose": make_pose},
 }  #: What translated code uses, by name

@@ -8,13 +8,16 @@ from omniman_ros.simulation.ur.urscript.compiler import Program, Run, line_of_er
 from omniman_ros.simulation.ur.urscript.context import PENDING, Context, Variables, Wait
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Host
-from omniman_ros.simulation.ur.urscript.values import Value, to_str
+from omniman_ros.simulation.ur.urscript.values import Value, size, to_str
 
-#: Largest number of statements and calls of a thread in a cycle; above it, its loop is endless.
+#: Largest work of a thread in a cycle; above it, its loop is endless.
 #:
-#: Drivers need some 120 in a cycle, and some 50 for each setpoint that they read late. The largest
-#: number lasts some 30 ms, in which the controller reports nothing; hosts wait 80 ms for feedback.
-MAX_STATEMENTS = 10_000
+#: It is the number of statements, of calls, of the nodes of their expressions, and of the scalars
+#: that operators make in lists; a function of the controller counts as CALL_WORK. Drivers need
+#: some 500 in a cycle, and some 320 for each setpoint that they read late. The largest work
+#: lasts some 15 ms where numbers are added, and up to 100 ms where lists and texts are handled;
+#: meanwhile the controller reports nothing, and hosts wait 80 ms for feedback.
+MAX_WORK = 70_000
 MAX_CALL_DEPTH = 200  #: Largest depth of calls within calls
 MAX_THREADS = 64  #: Largest number of threads at once, and of those started in a cycle
 
@@ -27,17 +30,21 @@ class Thread:
     def __init__(self, machine: "Machine", handle: int, function: Callable[..., Run]) -> None:
         self.handle = handle  #: What `run` returned; 0 for the main thread
         self.context = machine.context  #: What the functions of the controller work on
-        self.budget = machine.max_statements  #: What it may still execute in this cycle
+        self.budget = machine.max_work  #: What it may still execute in this cycle
         self.wait = Wait(lambda: None)  #: What it waits for; at first, for its turn
         own = Variables({}, machine.variables) if handle else machine.variables
         self.run = function(self, own, 1)  #: Its execution
         self._machine = machine
 
-    def charge(self) -> None:
-        """Count a statement or call; beyond the budget, this raises a ScriptRuntimeError."""
-        self.budget -= 1
+    def charge(self, work: int) -> None:
+        """Count work; beyond the budget, this raises a ScriptRuntimeError."""
+        self.budget -= work
         if self.budget < 0:
             raise ScriptRuntimeError("infinite loop")
+
+    def charge_list(self, values: tuple[Value, ...]) -> None:
+        """Count the work of an operator that has made a list."""
+        self.charge(size(values))
 
     def enter(self, depth: int, name: str) -> int:
         """Count a call of a function at a depth, and return the depth in the function.
@@ -49,7 +56,7 @@ class Thread:
             raise ScriptRuntimeError(
                 f"calls are nested more than {MAX_CALL_DEPTH} deep at '{name}'"
             )
-        self.charge()
+        self.charge(1)
         return depth + 1
 
     def start(self, function: Callable[..., Run]) -> int:
@@ -85,14 +92,14 @@ class Machine:
         self,
         program: Program,
         host: Host,
-        max_statements: int = MAX_STATEMENTS,
+        max_work: int = MAX_WORK,
         seed: int = 0,
     ) -> None:
         self.end_reason = ""
         self.variables = Variables({})  #: Global variables
         self.context = Context(host, Random(seed))  #: What the controller's functions work on
-        self.max_statements = max_statements  #: Budget of each thread in a cycle
-        self._takes_no_time = program.secondary
+        self.max_work = max_work  #: Budget of each thread in a cycle
+        self.is_secondary = program.secondary  #: Whether it takes no time
         self._last_handle = 0
         self._started = 0  # in this cycle
         self._main = Thread(self, 0, program.main)
@@ -112,7 +119,7 @@ class Machine:
         """
         self._started = 0
         for thread in self.threads.values():
-            thread.budget = self.max_statements
+            thread.budget = self.max_work
         ready = list(self.threads.values())
         while ready and self.running:
             known_handles = set(self.threads)
@@ -158,7 +165,7 @@ class Machine:
             answer = thread.wait.poll()
             while answer is not PENDING:
                 thread.wait = thread.run.send(answer)
-                if self._takes_no_time and thread.wait.takes_time:
+                if self.is_secondary and thread.wait.takes_time:
                     raise ScriptRuntimeError("a secondary program cannot take time")
                 answer = PENDING if thread.wait.takes_time else thread.wait.poll()
         except StopIteration:
@@ -166,7 +173,7 @@ class Machine:
             if thread is self._main:
                 self.stop("completed")
             return True
-        except OmnimanError as error:
+        except (OmnimanError, ArithmeticError, ValueError, TypeError) as error:
             self.stop(f"runtime error line {line_of_error(error, thread.run)}: {error}")
             return True
         return thread.handle not in self.threads or thread.wait.takes_time

@@ -23,6 +23,7 @@ Number: TypeAlias = Callable[[float, float], float]  #: Function of two numbers
 
 SMALLEST = -(2**31)  #: Smallest integer
 LARGEST = 2**31 - 1  #: Largest integer
+MAX_LIST_LENGTH = 100  #: Largest number of scalars in a list, which bounds the work of a statement
 MAX_STRING_LENGTH = 4096  #: Largest length of a string, which bounds the memory
 JOINTS = 6  #: Number of joints, and of elements of a pose
 
@@ -117,13 +118,22 @@ def checked_string(value: str) -> str:
 
 def make_list(values: tuple[Value, ...]) -> tuple[Value, ...]:
     """Return a list of scalars, poses or flat lists (a matrix)."""
+    scalars = len(values)
     for value in values:
         if isinstance(value, tuple):
+            scalars += len(value) - 1
             if any(isinstance(inner, tuple) for inner in value):
                 raise ScriptRuntimeError("lists are nested more than two deep")
         elif value is None:
             raise ScriptRuntimeError("an element has no value")
+    if scalars > MAX_LIST_LENGTH:
+        raise ScriptRuntimeError(f"a list has more than {MAX_LIST_LENGTH} scalars")
     return values
+
+
+def size(values: tuple[Value, ...]) -> int:
+    """Return the number of scalars in a list, those of its inner lists included."""
+    return sum(len(value) if isinstance(value, tuple) else 1 for value in values)
 
 
 def make_pose(values: tuple[Value, ...]) -> Pose:
@@ -242,8 +252,3 @@ BINARY: dict[str, Operator] = {
     ">=": ordering(">=", operator.ge),
     "xor": lambda a, b: truth(a) != truth(b),
 }  #: Functions of the binary operators, by symbol
-
-
-def negative(value: Value) -> Value:
-    """Return the negative of a number or list."""
-    return BINARY["*"](-1, value)

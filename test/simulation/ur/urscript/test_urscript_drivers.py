@@ -8,7 +8,7 @@ import pytest
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.simulation.ur.urscript import grammar
 from omniman_ros.simulation.ur.urscript.compiler import Program
-from omniman_ros.simulation.ur.urscript.machine import MAX_STATEMENTS
+from omniman_ros.simulation.ur.urscript.machine import MAX_WORK
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.reverse_interface import ProgramMode
 from omniman_ros.ur.servo_program import servo_program
@@ -114,7 +114,7 @@ def test_an_endless_loop_ends_within_a_bounded_number_of_calls():
     bench = Bench("while True:\n  a = sin(1.0) + cos(2.0) * 3.0\nend")
     work = calls(bench.step)
     assert "infinite loop" in bench.end
-    assert work < 25 * MAX_STATEMENTS
+    assert work < 2 * MAX_WORK
 
 
 def test_the_parser_compiles_nothing_at_its_first_program(monkeypatch):
@@ -239,4 +239,4 @@ def test_a_driver_s_cycle_takes_no_more_work_after_a_thousand_cycles():
 
     work = [cycle(number) for number in range(1000)]
     assert len(bench.motions) == 1000
-    assert max(work[2:]) == min(work[2:]) < MAX_STATEMENTS
+    assert max(work[2:]) == min(work[2:]) < MAX_WORK

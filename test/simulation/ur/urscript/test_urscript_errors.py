@@ -1,9 +1,11 @@
 import random
 import re
+import tracemalloc
 
 import pytest
 
 from omniman_ros.core.errors import InputError, OmnimanError
+from omniman_ros.simulation.ur.urscript import compiler
 from omniman_ros.simulation.ur.urscript.compiler import Program
 from omniman_ros.simulation.ur.urscript.errors import ScriptError
 from test.simulation.ur.urscript.driver_script import DRIVER
@@ -105,6 +107,19 @@ def test_long_chains_are_not_deep():
     assert Bench(text).step().machine.variables["a"] == 1001
 
 
+def test_long_chains_keep_only_their_last_result():
+    def peak(operators):
+        bench = Bench(f"b = [{', '.join(['1.5'] * 100)}]\na = b" + " + b" * operators)
+        tracemalloc.start()
+        assert bench.step().end == "completed"
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    peak(1)
+    assert peak(500) < 2 * peak(10)
+
+
 @pytest.mark.parametrize(
     "statement, reason",
     [
@@ -152,6 +167,8 @@ def test_long_chains_are_not_deep():
         ("a[2] = 1", "index 2 is out of range of a list of 2"),
         ("a[0] = [[1]]", "lists are nested more than two deep"),
         ("b = [textmsg(1)]", "an element has no value"),
+        (f"b = [{'1, ' * 101}]", "a list has more than 100 scalars"),
+        (f"b = [[{'1, ' * 50}], [{'1, ' * 50}], 1]", "a list has more than 100 scalars"),
         ("b = p[0,0,0,0,0,a]", "an element of a pose is no number but list [1, 2]"),
         ("if a:\nend", "a condition is no bool but list [1, 2]"),
         ('while "x":\nend', "a condition is no bool but string x"),
@@ -160,6 +177,7 @@ def test_long_chains_are_not_deep():
         ("kill True", "True is no thread"),
         ("join a", "[1, 2] is no thread"),
         ('b = to_num("x")', "'x' is no number"),
+        (f'b = to_num("{"9" * 400}")', f"'{'9' * 400}' is no number"),
         ('b = str_at("x", 1)', "index 1 is out of range of a string of 1"),
         ('sleep("x")', "t is no number but string x"),
         ("write_output_integer_register(0, 0.5)", "value is no whole number but 0.5"),
@@ -174,6 +192,27 @@ def test_what_cannot_be_executed_is_a_runtime_error_with_its_line(statement, rea
     assert line == (6 if statement == "g()" else 8)
 
 
+def test_names_that_python_reserves_are_names_of_arguments():
+    assert ran("set_tcp(p[0,0,0,0,0,0], __debug__=1, None=2, class=3)").end == "completed"
+
+
+def test_what_python_cannot_translate_is_refused_with_its_line(monkeypatch):
+    monkeypatch.setattr(compiler, "MAX_LOOPS", 30)  # Python has 20
+    with pytest.raises(ScriptError, match=r"^line 2\d: .*too many statically nested blocks"):
+        Program("while True:\n" * 25 + "end\n" * 25)
+
+
+@pytest.mark.parametrize("kind", [OverflowError, ValueError, TypeError])
+def test_a_calculation_that_fails_is_a_runtime_error_with_its_line(kind):
+    bench = Bench("\nis_steady()")
+
+    def fail():
+        raise kind("no result")
+
+    bench.host.is_steady = fail
+    assert bench.step().end == "runtime error line 2: no result"
+
+
 def test_unknown_functions_may_be_mentioned():
     assert ran("if False:\n  movel(1)\n  run nothing()\n  servoj()\nend").end == "completed"
 
@@ -183,10 +222,30 @@ def test_a_string_that_grows_without_end_is_a_runtime_error():
     assert fault_of(text) == (3, "a string has more than 4096 characters")
 
 
+@pytest.mark.parametrize(
+    "loop",
+    [
+        "while True:\n  a = 1" + " + 1" * 500 + "\nend",
+        "while 1" + " + 1" * 500 + " > 0:\nend",
+        "while True:\n  if 1" + " + 1" * 500 + " > 0:\n  end\nend",
+        "def f(a=1" + " + 1" * 500 + "):\nend\nwhile True:\n  f()\nend",
+        f"b = [{'1, ' * 100}]\nwhile True:\n  b = b + b - b\nend",
+        f"b = [{'1, ' * 100}]\nwhile True:\n  b = -b\nend",
+        f"b = [[{'1, ' * 50}], [{'1, ' * 50}]]\nwhile True:\n  b = b + b - b\nend",
+        f"b = [{'1, ' * 100}]\nwhile True:\n  c = norm(b)\nend",
+    ],
+)
+def test_an_endless_loop_ends_within_its_work_whatever_its_statements_are(loop):
+    bench = Bench(loop, max_work=10_000)
+    work = calls(bench.step)
+    assert bench.end.endswith("infinite loop")
+    assert work < 30 * 10_000
+
+
 def test_calls_without_a_statement_are_counted():
     chain = [f"def f{k}(a = f{k + 1}() == f{k + 1}()):\nend" for k in range(40)]
     text = "\n".join([*chain, "def f40():\nend", "f0()"])
-    assert Bench(text, max_statements=3000).step().end.endswith(": infinite loop")
+    assert Bench(text, max_work=3000).step().end.endswith(": infinite loop")
 
 
 def test_a_wait_that_fails_is_a_runtime_error_of_the_line_that_waits():
@@ -214,7 +273,7 @@ def outcome(text):
         assert 1 <= error.line <= text.count("\n") + text.count("\r") + 2
         return error
     assert program.main
-    return Bench(text, max_statements=3000).step(3).end
+    return Bench(text, max_work=3000).step(3).end
 
 
 def test_a_program_cut_at_any_byte_is_refused():

@@ -253,7 +253,7 @@ def test_a_long_loop_that_ends_is_none():
 
 def test_each_cycle_has_the_whole_allowance():
     text = "while True:\n  i = 0\n  while i < 50:\n    i = i + 1\n  end\n  sync()\nend"
-    bench = Bench(text, max_statements=600).step(20)
+    bench = Bench(text, max_work=600).step(20)
     assert bench.machine.running
 
 
