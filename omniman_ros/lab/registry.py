@@ -137,7 +137,7 @@ BENCHMARKS = {
     "crowd": Study(
         "bench.crowd",
         "the planner among 20 discs that see nobody or give way, beside ORCA and a dynamic "
-        "window: goals per minute, contacts, CPU time",
+        "window and Nav2's MPPI: goals per minute, contacts, CPU time",
         (worlds(12), *SWEEP, SEED),
         robot=None,
     ),

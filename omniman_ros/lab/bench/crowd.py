@@ -31,12 +31,14 @@ from omniman_ros.lab.bench.harness import (
 )
 from omniman_ros.lab.studies.crowd_baselines import (
     KinematicRobot,
+    Method,
     OnTick,
     dynamic_window,
     orca,
 )
 from omniman_ros.lab.studies.crowds import HALF, RADIUS, ContactJudge, DiscCrowd
 from omniman_ros.lab.studies.mpc_loop import PLANNER_PERIOD, LoopOptions, MpcLoop
+from omniman_ros.lab.studies.mppi_baseline import Mppi
 from omniman_ros.lab.studies.scene_geometry import MovingObstacle
 from omniman_ros.lab.sweep import Sweep
 from omniman_ros.planning.cycle import PlannerState
@@ -51,7 +53,12 @@ SECONDS, QUICK_SECONDS = 60.0, 10.0  #: simulated duration of a drive, and with 
 DISCS = 20  #: number of discs
 KINDS = {"crossing": False, "giving way": True}  #: whether the discs of a crowd give way
 PLANNER = "planner"
-BASELINES = {"orca": orca, "dynamic window": dynamic_window}
+#: Makes the methods beside the planner for a seed of their random choices
+BASELINES: Mapping[str, Callable[[int], Method]] = {
+    "orca": lambda _: orca,
+    "dynamic window": lambda _: dynamic_window,
+    "MPPI of Nav2": Mppi,
+}
 GOALS_AIM = 5.0  #: aim: least number of goals a minute in each kind of crowd
 AT_REST_AIM = 1.0  #: aim: most contacts a minute at rest, among discs that see nobody
 P99_AIM = 25.0  #: aim: largest 99th percentile of the CPU time of a cycle [ms]
@@ -168,7 +175,7 @@ def drive_in_crowd(
     if method == PLANNER:
         driven = PlannedRobot(values, crowd, seed, timer, tick)
     else:
-        driven = KinematicRobot(parameters, BASELINES[method], crowd, timer, tick)
+        driven = KinematicRobot(parameters, BASELINES[method](seed), crowd, timer, tick)
     begin, goals = driven.now, 0
     for pose in goal_poses(seed):
         goals += driven.reach(pose, begin + seconds)

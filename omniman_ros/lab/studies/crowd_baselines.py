@@ -47,6 +47,10 @@ LINEAR: Array = np.array([1.0, 1.0, 0.0])  #: selects the linear part of a veloc
 OnTick = Callable[[Array, Array], None]
 
 
+#: Function that returns the velocity (3,) of a robot in a crowd in the world [m/s, m/s, rad/s]
+Method = Callable[["KinematicRobot", DiscCrowd], Array]
+
+
 class KinematicRobot:
     """A robot that moves as a method chooses.
 
@@ -58,7 +62,7 @@ class KinematicRobot:
     def __init__(
         self,
         parameters: PlannerParameters,
-        method: Callable[["KinematicRobot", DiscCrowd], Array],
+        method: "Method",
         crowd: DiscCrowd,
         timer: Callable[[], float],
         on_tick: OnTick,

@@ -8,10 +8,11 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.crowd_baselines import KinematicRobot, dynamic_window, orca
 from omniman_ros.lab.studies.crowds import DiscCrowd, disc_gaps
+from omniman_ros.lab.studies.mppi_baseline import Mppi
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.robots import robot_parameters
 
-METHODS = pytest.mark.parametrize("method", [orca, dynamic_window])
+METHODS = pytest.mark.parametrize("method", [orca, dynamic_window, Mppi()])
 GOAL = np.array([2.0, 1.0, 1.5])
 
 
