@@ -146,8 +146,8 @@ class BodyLoop:
                 self._attempt(self._follow, *self._previews.popleft()[1:], clock)
             if clock >= arm_due:
                 self._platform.drives.advance(arm_due)  # the joints are in its world
-                angles = self._arm.cycle(arm_due)
-                row = [arm_due - BEGIN, *angles, *driver.tool(arm_due - BEGIN)]
+                self._move_arm(arm_due)
+                row = [arm_due - BEGIN, *self._joints.q, *driver.tool(arm_due - BEGIN)]
                 record.arm.append(np.array(row))
                 arm_due += self._arm.period
             if driver.is_completed:
@@ -158,6 +158,13 @@ class BodyLoop:
             if clock >= end:
                 break
         return record
+
+    def _move_arm(self, clock: float) -> None:
+        """Run one cycle of the arm; it stays where it is once its guard refuses a setpoint."""
+        try:
+            self._arm.cycle(clock)
+        except InputError as error:
+            self.record.stop = self.record.stop or f"the arm: {error}"
 
     def _attempt(self, step: Callable[..., None], *arguments: object) -> None:
         """Take a step of what drives the robot, unless it has stopped; note why it stops."""
