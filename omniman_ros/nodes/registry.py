@@ -30,7 +30,7 @@ NODES = {
     "viewer": "viewer.ros.parameters.ViewerParameters",
 }
 #: Nodes that have a folder, with their `main()` in its module `node`
-FOLDERS = ("path_interpolator", "whole_body_planner")
+FOLDERS = ("mpc_planner", "path_interpolator", "whole_body_planner")
 #: Beginnings of the names of parameters that rclpy declares for every node
 _OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
 
