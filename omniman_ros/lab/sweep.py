@@ -83,36 +83,46 @@ def _in_processes(
 ) -> Iterator[Result]:
     # Numerical libraries read these when they are loaded: in the new processes.
     os.environ.update(SINGLE_THREADED)
-    # Each is a new interpreter: forking a process that may have threads is not safe.
-    spawn = multiprocessing.get_context("spawn")
     own, opened = threading.local(), list[ProcessPoolExecutor]()
     is_ending = threading.Event()
 
     def computed(item: Item) -> Result:
         for _ in range(ATTEMPTS):
-            if getattr(own, "process", None) is None:
-                own.process = ProcessPoolExecutor(1, mp_context=spawn)
-                opened.append(own.process)
+            if is_ending.is_set():
+                break
+            process = _own_process(own, opened)
             try:
-                result: Result = own.process.submit(function, item).result()
+                return process.submit(function, item).result()
             except BrokenProcessPool:
-                if is_ending.is_set():  # Ctrl-C ends all processes
-                    raise
-                say(f"the process of {item} has died: it is computed again")
                 own.process = None
-            else:
-                return result
+                if not is_ending.is_set():
+                    say(f"the process of {item} has died: it is computed again")
         raise CommandError(f"{item} has ended {ATTEMPTS} processes")
 
     # A thread for each process, as a pool of several breaks as a whole when one dies.
     threads = ThreadPoolExecutor(max(jobs, 1))
     try:
         yield from threads.map(computed, items)
-    finally:
+    except BaseException:  # Ctrl-C, an error of a drive, or nobody wants the rest
         is_ending.set()
+        threads.shutdown(wait=False, cancel_futures=True)
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+    finally:
         threads.shutdown(cancel_futures=True)
         for pool in opened:
             pool.shutdown(cancel_futures=True)
+
+
+def _own_process(own: threading.local, opened: list[ProcessPoolExecutor]) -> ProcessPoolExecutor:
+    """Return the process of a thread, which is a new one if it has none."""
+    if getattr(own, "process", None) is None:
+        # A new interpreter: forking a process that may have threads is not safe.
+        own.process = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+        opened.append(own.process)
+    process: ProcessPoolExecutor = own.process
+    return process
 
 
 def _on_cluster(

@@ -90,7 +90,7 @@ def test_each_wheel_and_each_joint_has_its_lines(layout):
 
 
 def test_the_planner_tells_the_keys_that_are_plotted():
-    source = (ROOT / "omniman_ros" / "nodes" / "mpc_planner.py").read_text()
+    source = (ROOT / "omniman_ros" / "nodes" / "mpc_planner" / "node.py").read_text()
     for key in STATUS:
         assert f'("{key}",' in source
 

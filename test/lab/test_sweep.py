@@ -92,7 +92,12 @@ def test_interrupt_ends_all_processes(tmp_path):
         "from test.lab.test_sweep import sleep_long\n"
         f"list(Sweep(2).map(partial(sleep_long, {str(tmp_path)!r}), range(6)))\n"
     )
-    child = subprocess.Popen([sys.executable, "-c", program], start_new_session=True)
+    child = subprocess.Popen(
+        [sys.executable, "-c", program],
+        start_new_session=True,
+        # A shell ignores the signal in what it starts in the background.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     deadline = time.monotonic() + START_UP
     while len(list(tmp_path.iterdir())) < 2:
         assert time.monotonic() < deadline and child.poll() is None
