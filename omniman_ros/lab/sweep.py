@@ -93,6 +93,9 @@ def _in_processes(
             process = _own_process(own, opened)
             try:
                 return process.submit(function, item).result()
+            except KeyboardInterrupt:  # of the process: no other drive is to begin
+                is_ending.set()
+                raise
             except BrokenProcessPool:
                 own.process = None
                 if not is_ending.is_set():
